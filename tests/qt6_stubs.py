@@ -32,6 +32,10 @@ QtCore, QtGui, QtWidgets = PYQT["QtCore"], PYQT["QtGui"], PYQT["QtWidgets"]
 # PyQt's own question knows its objects alone; QGIS's, which are stand-ins here, are never deleted.
 _is_deleted = PYQT["sip"].isdeleted
 PYQT["sip"].isdeleted = lambda owner: not isinstance(owner, mock.NonCallableMock) and _is_deleted(owner)
+sys.path.insert(0, str(ROOT / "tests"))
+import qt6_gui_stubs as gui_stubs  # noqa: E402 - it needs the folder with PyQt6
+import qt6_windows  # noqa: E402
+
 # As QGIS's own qgis.PyQt.QtWidgets does.
 QtWidgets.QAction, QtWidgets.QShortcut = QtGui.QAction, QtGui.QShortcut
 
@@ -131,6 +135,12 @@ class QgsProcessingParameterDefinition:
     def defaultValue(self):
         return self.values["defaultValue"]
 
+    def usesStaticStrings(self):
+        return self.values["usesStaticStrings"]
+
+    def layerType(self):
+        return self.values["layerType"]
+
     def isDestination(self):
         return self.KIND.endswith("Destination")
 
@@ -193,8 +203,14 @@ class QgsProcessingAlgorithm:
     def parameterDefinitions(self):
         return list(self._parameters)
 
+    def parameterDefinition(self, name):
+        return next((each for each in self._parameters if each.name() == name), None)
+
     def outputDefinitions(self):
         return list(self._outputs)
+
+    def provider(self):
+        return self._provider
 
 
 class QgsProcessingProvider(QtCore.QObject):
@@ -217,8 +233,31 @@ class QgsProcessingProvider(QtCore.QObject):
 
 
 class QgsProcessingModelAlgorithm(QgsProcessingAlgorithm):
+    _path, _provider = "", None
+
     def loadVariant(self, description):
         return False  # the models' own format is QGIS's matter
+
+    def toVariant(self):
+        return {}
+
+    def name(self):
+        return "model"
+
+    def setName(self, name):
+        pass
+
+    def setSourceFilePath(self, path):
+        self._path = path + ""
+
+    def setProvider(self, provider):
+        self._provider = provider
+
+    def provider(self):
+        return mock.Mock(id=lambda: "repm")
+
+    def toFile(self, path):
+        return bool(pathlib.Path(path).write_text("", encoding="utf-8") == 0)
 
 
 class Registry:
@@ -233,7 +272,11 @@ class Registry:
         self._providers.pop(provider.id()).unload()
 
     def providerById(self, name):
-        return self._providers.get(name)
+        return self._providers.get(name, mock.MagicMock(name=name))
+
+    def algorithmById(self, name):
+        provider, _, own = name.partition(":")
+        return next(each for each in self._providers[provider].algorithms() if each.name() == own)
 
 
 class _Anything(type(QtWidgets.QWidget)):
@@ -271,33 +314,6 @@ class QgsProcessingException(Exception):
     pass
 
 
-class QgsDockWidget(QtWidgets.QDockWidget):
-    def setUserVisible(self, visible):
-        self.setVisible(visible)
-
-
-class QgsMapLayerComboBox(QtWidgets.QComboBox):
-    layerChanged = QtCore.pyqtSignal(object)  # noqa: N815 - QGIS's name
-
-    def setLayer(self, layer):
-        pass
-
-    def setExceptedLayerList(self, layers):
-        pass
-
-    def exceptedLayerList(self):
-        return []
-
-    def setFilters(self, filters):
-        pass
-
-    def setAllowEmptyLayer(self, allow):
-        pass
-
-    def currentLayer(self):
-        return None
-
-
 ON_TRUST = set()
 
 
@@ -331,9 +347,10 @@ class Processing(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         return None
 
     def create_module(self, spec):
-        known = {}
+        known = dict(gui_stubs.PROCESSING.get(spec.name, {}))
         if spec.name == "processing.core.ProcessingConfig":
             unset = {"getSetting": staticmethod(lambda name, readable=False: None), "settingIcons": {}}
+            known["Setting"] = gui_stubs.Setting
             known["ProcessingConfig"] = _Anything("ProcessingConfig", (QtCore.QObject,), unset)
         return Library(spec.name, QtCore.QObject, known)
 
@@ -365,16 +382,21 @@ def install():
     core["QgsProcessing"] = type(
         "QgsProcessing", (), {"SourceType": SourceType, "TEMPORARY_OUTPUT": "TEMPORARY_OUTPUT"}
     )
-    core["QgsProcessingUtils"] = type("QgsProcessingUtils", (), {"LayerHint": LayerHint})
+    utils = {
+        "LayerHint": LayerHint,
+        "tempFolder": staticmethod(lambda: "/none"),
+        "mapLayerFromString": staticmethod(lambda text, context, allowLoadingNewLayers=True: None),
+    }
+    core["QgsProcessingUtils"] = type("QgsProcessingUtils", (), utils)
     core["QgsSettings"] = QtCore.QSettings
+    core.update(gui_stubs.CORE)
     core["NULL"] = None
     packages = {"qgis": types.ModuleType("qgis"), "qgis.PyQt": types.ModuleType("qgis.PyQt")}
     for name, module in PYQT.items():
         packages[f"qgis.PyQt.{name}"] = module
         setattr(packages["qgis.PyQt"], name, module)
-    gui = {each.__name__: each for each in (QgsDockWidget, QgsMapLayerComboBox)}
     packages["qgis.core"] = Library("qgis.core", QtCore.QObject, core)
-    packages["qgis.gui"] = Library("qgis.gui", QtWidgets.QWidget, gui)
+    packages["qgis.gui"] = Library("qgis.gui", QtWidgets.QWidget, gui_stubs.GUI)
     packages["qgis.utils"] = Library("qgis.utils", QtCore.QObject, {"iface": None})
     for name in ("qgis", "qgis.PyQt"):
         packages[name].__path__ = []
@@ -411,13 +433,21 @@ def main():
     QtCore.QLocale.setDefault(QtCore.QLocale("en"))
     application = QgsApplication([])
     QtCore.QCoreApplication.setOrganizationName("repm-qt6-test")
+    kind, scope = QtCore.QSettings.Format.NativeFormat, QtCore.QSettings.Scope.UserScope
+    QtCore.QSettings.setPath(kind, scope, QgsApplication.qgisSettingsDirPath())  # a new profile each time
     spec = importlib.util.spec_from_file_location("repm", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
     package = importlib.util.module_from_spec(spec)
     sys.modules["repm"] = package
     spec.loader.exec_module(package)
-    window = QtWidgets.QMainWindow()
-    iface = mock.MagicMock()
-    iface.mainWindow.return_value = window
+    names = []
+    for path in sorted([*(ROOT / "processing_provider").rglob("*.py"), *(ROOT / "desktop").rglob("*.py")]):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        names.append(".".join(["repm", *parts]).replace(".__init__", ""))
+    iface, parts = gui_stubs.interface()
+    sys.modules["qgis.utils"].iface = iface
+    for name in names:
+        importlib.import_module(name)
+    qt6_windows.watch(name for name in names if name.startswith("repm.desktop."))
     plugin = package.classFactory(iface)
     plugin.initGui()
     opened = []
@@ -425,14 +455,13 @@ def main():
         opened.append(call.args[1].text())
         call.args[1].trigger()  # an exception in it ends a program on PyQt6
         application.processEvents()
+    used = qt6_windows.use(plugin.menu, parts, "repm.repm_qgis")
     found = {each.name(): shown(each) for each in plugin.provider.algorithms()}
     plugin.unload()
-    for path in sorted([*(ROOT / "processing_provider").rglob("*.py"), *(ROOT / "desktop").rglob("*.py")]):
-        parts = path.relative_to(ROOT).with_suffix("").parts
-        importlib.import_module(".".join(["repm", *parts]).replace(".__init__", ""))
-    result = {"qt": QtCore.QT_VERSION_STR, "algorithms": found, "opened": opened, "on_trust": sorted(ON_TRUST)}
+    result = {"qt": QtCore.QT_VERSION_STR, "algorithms": found, "opened": opened, "used": used}
+    result["on_trust"] = sorted(ON_TRUST)
     print(json.dumps(result))
-    del window, application
+    del parts, application
 
 
 if __name__ == "__main__":

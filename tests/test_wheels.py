@@ -9,16 +9,17 @@ import sys
 import pytest
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
-PLATFORMS = ("macosx_14_0_arm64", "win_amd64")
+PLATFORMS = ("macosx_14_0_arm64", "macosx_14_0_x86_64", "win_amd64")
 
 
+@pytest.mark.parametrize("python", ("3.9", "3.12"))
 @pytest.mark.parametrize("platform", PLATFORMS)
-def test_the_index_has_wheels_of_all_packages(platform, tmp_path):
-    """For Python 3.12, which QGIS 3.40 has on Windows; nothing is downloaded but what describes the packages."""
-    options = "--dry-run --no-deps --ignore-installed --only-binary=:all: --python-version 3.12 --retries 1 --timeout 5"
+def test_the_index_has_wheels_of_all_packages(platform, python, tmp_path):
+    """For the Pythons of QGIS 3.22 and 3.40 on Windows; nothing is downloaded but what describes the packages."""
+    options = "--dry-run --no-deps --ignore-installed --only-binary=:all: --retries 1 --timeout 5 --python-version"
     done = subprocess.run(
         [
-            *(sys.executable, "-m", "pip", "install", *options.split(), "--platform", platform),
+            *(sys.executable, "-m", "pip", "install", *options.split(), python, "--platform", platform),
             *("--target", str(tmp_path), "-r", str(ROOT / "requirements.txt")),
         ],
         capture_output=True,

@@ -233,11 +233,13 @@ def _unblocked(executor: ProcessPoolExecutor) -> Iterator[None]:
 
 
 def _context() -> multiprocessing.context.BaseContext:
-    """How workers begin: as copies of a server process that has imported what all need, or each by itself on Windows.
+    """How workers begin: as copies of a server process that has imported what all need, or each by itself.
 
-    Never as copies of this process: native libraries' threads do not survive that. The server has none.
+    Never as copies of this process: native libraries' threads do not survive that. The server has none; but on macOS
+    the system's own libraries may have begun some when numpy and OpenCV were imported (docs.python.org,
+    multiprocessing, "Contexts and start methods").
     """
-    if "forkserver" not in multiprocessing.get_all_start_methods():
+    if sys.platform == "darwin" or "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     from multiprocessing import forkserver  # not on Windows
 

@@ -5,6 +5,7 @@ What this leaves untested on QGIS 4 is in docs/compatibility.md.
 
 from __future__ import annotations
 
+import ast
 import importlib
 import json
 import os
@@ -148,6 +149,25 @@ def test_the_plugin_on_pyqt6_shows_what_it_shows_here(pyqt6, provider):
         if not hasattr(importlib.import_module(module), member):
             missing.append(name)
     assert missing == []
+    every_window_was_used(there["used"])
+
+
+def every_window_was_used(used):
+    """All classes of desktop/ were made on Qt 6, and all buttons of its windows pressed."""
+    from repm.processing_provider import settings
+
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in (ROOT / "desktop").rglob("*.py")]
+    classes = [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+    classes = {node.name for node in classes if "NamedTuple" not in map(ast.unparse, node.bases)}
+    assert len(classes) > 15 and set(used["made"]) == classes
+    assert used["left"] == {}
+    windows = {"FirstSteps", "InstallDialog", "GeoidGridsDialog", "ControlPointsDock", "SurfaceEditingDock", "Dialog"}
+    assert windows <= set(used["pressed"])
+    steps = {step.split(":")[0] for step in used["pressed"]["next steps"]}
+    assert {"inspect", "pipeline", "register", "dsmfuse, registered", "comparedsm, registered"} <= steps
+    assert set(used["settings"]) == {settings.ENGINE_PYTHON, settings.WORKERS, settings.MEMORY, settings.CLUSTER} | {
+        *settings.COLMAP.values()
+    }
 
 
 @pytest.mark.parametrize(

@@ -247,6 +247,11 @@ def test_workers_live_on_within_a_block_only(work, told):
     assert not who() & later
 
 
+def test_on_macos_no_worker_is_a_copy_of_a_process_with_native_threads(monkeypatch):
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert parallel._context().get_start_method() == "spawn"
+
+
 def test_cancel_is_quick_and_leaves_no_process(work, told):
     start = time.monotonic()
     with pytest.raises(Cancelled):
