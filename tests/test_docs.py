@@ -7,10 +7,11 @@ import re
 
 import pytest
 
+import repm_qgis
 from tests.every_file import wrong
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 HELP = sorted((ROOT / "resources" / "help").glob("*.md"))
 
 
@@ -119,3 +120,29 @@ def test_pictures_are_small():
         assert picture.stat().st_size < 400_000, picture.name
     for recording in (ROOT / "docs" / "pictures").glob("*.gif"):
         assert recording.read_bytes()[:4] == b"GIF8" and recording.stat().st_size < 900_000, recording.name
+
+
+def test_the_citation_names_this_version():
+    yaml = pytest.importorskip("yaml")
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    (version,) = re.findall(r"(?m)^version=(.*)$", (ROOT / "metadata.txt").read_text(encoding="utf-8"))
+    assert str(cited["version"]) == version == repm_qgis.__version__
+    authors = [author["family-names"] for author in cited["references"][0]["authors"]]
+    assert len(authors) == 7 and authors[0] == "Hong"
+
+
+def test_the_forms_for_issues_have_what_their_site_asks_for():
+    """Of docs.github.com, "Syntax for issue forms" and "Syntax for GitHub's form schema"."""
+    yaml = pytest.importorskip("yaml")
+    forms = {path.name: yaml.safe_load(path.read_text("utf-8")) for path in (ROOT / ".github/ISSUE_TEMPLATE").iterdir()}
+    assert set(forms.pop("config.yml")) <= {"blank_issues_enabled", "contact_links"}
+    assert len(forms) >= 2
+    for name, form in forms.items():
+        assert set(form) == {"name", "description", "labels", "body"}, name
+        ids = [field["id"] for field in form["body"] if field["type"] != "markdown"]
+        assert len(set(ids)) == len(ids) >= 2
+        for field in form["body"]:
+            assert set(field) <= {"type", "id", "attributes", "validations"}, name
+            assert field["type"] in ("markdown", "textarea", "input"), name
+            allowed = {"value"} if field["type"] == "markdown" else {"label", "description", "render"}
+            assert {"value", "label"} & set(field["attributes"]) and set(field["attributes"]) <= allowed, name
