@@ -37,7 +37,7 @@ mutation: setup ## small faults in the code that a test must notice (SAMPLE=600,
 		{ echo "mutation: Cosmic Ray could not be installed into $(MUTATION): it needs the Python package index"; exit 1; }
 	@$(MUTATION)/bin/python benchmarks/mutation.py --sample $(or $(SAMPLE),600) --seed $(or $(SEED),1) $(if $(ONLY),--only '$(ONLY)') $(if $(AGAIN),--again)
 
-lint: setup ## ruff's rules and format over everything, and types of the engine (mypy, strict)
+lint: setup ## ruff's rules and format over everything, and types (mypy: strict for the engine, signatures for benchmarks)
 	@$(PYTHON) -m ruff check .
 	@$(PYTHON) -m ruff format --check --quiet . || { echo "lint: run '$(PYTHON) -m ruff format .'"; exit 1; }
 	@$(PYTHON) -m mypy

@@ -174,10 +174,9 @@ def _real() -> List[str]:
     with tempfile.TemporaryDirectory() as folder:
         for other in others:
             for stated in (True, False):
-                paths = [
-                    [str(folders[name] / f"{kind}.tif") for name in (first, other)] for kind in ("dsm", "confidence")
-                ]
-                found, result = _found(*paths[0], paths[1] if stated else [], folder)
+                before, after = (str(folders[name] / "dsm.tif") for name in (first, other))
+                confidences = [str(folders[name] / "confidence.tif") for name in (first, other)] if stated else []
+                found, result = _found(before, after, confidences, folder)
                 areas = sorted((p.area for p in found), reverse=True)
                 moved = f"{result['dx']:+.2f}, {result['dy']:+.2f}, {result['dz']:+.2f}"
                 label = "with confidences" if stated else "without"

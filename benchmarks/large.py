@@ -178,8 +178,9 @@ def parallax_on_ground(path: str, reference: str) -> np.ndarray:
     """Row differences of the first tile's two views at the places that a surface has in the rectified frame."""
     scene = SceneFile.load(path)
     tile = scene.tiles[0]
-    pair = rectified_pair(scene, *scene.views, tile.bounds, tile.altitudes)
-    geometry = pair_geometry(pair, *scene.views, tile.altitudes, scene.crs)
+    first, second = scene.views
+    pair = rectified_pair(scene, first, second, tile.bounds, tile.altitudes)
+    geometry = pair_geometry(pair, first, second, tile.altitudes, scene.crs)
     raster = gdal.Open(reference)
     g, truth = raster.GetGeoTransform(), heights_of(raster).astype(np.float32)
     columns, rows = (np.arange(0, n, 16, dtype=np.float64) for n in pair.size)

@@ -21,7 +21,7 @@ from benchmarks.runner import few, is_quick, pipeline
 from benchmarks.scenes import Scene, absent, default, real
 from benchmarks.tables import Details, Section, table
 from repm_qgis.evaluation.scoring import score
-from repm_qgis.fusion.aggregation import aggregate
+from repm_qgis.fusion.aggregation import aggregate, rim_cells
 from repm_qgis.fusion.parameters import FUSION
 from repm_qgis.fusion.tile_fusion import grid_height_map
 from repm_qgis.geometry.cell_grid import CellGrid
@@ -45,11 +45,12 @@ class MatchedPair:
     """One pair of one tile, as the pipeline matches it."""
 
     def __init__(self, scene: SceneFile, views: Tuple[int, int]) -> None:
-        tile, pair = scene.tiles[0], tuple(scene.views[view] for view in views)
-        names, stretches = tuple(v.name for v in pair), tuple(view_stretch(v.image, v.band) for v in pair)
+        tile, first, second = scene.tiles[0], scene.views[views[0]], scene.views[views[1]]
+        names = first.name, second.name
+        stretches = view_stretch(first.image, first.band), view_stretch(second.image, second.band)
         self.task = PairTask(sgm.BACKEND, scene, tile.id, tile.bounds, tile.altitudes, names, stretches, "", "")
         self.frame = rectified_over_tile(scene, names, tile.bounds, tile.altitudes)
-        self.geometry = pair_geometry(self.frame, *pair, tile.altitudes, scene.crs)
+        self.geometry = pair_geometry(self.frame, first, second, tile.altitudes, scene.crs)
 
     def matched(self, parameters: MatchingParameters = MATCHING, backend: PairBackend = sgm.BACKEND) -> DisparityMap:
         return match_pair(replace(self.task, parameters=parameters, backend=backend), self.frame, self.geometry)
@@ -78,7 +79,7 @@ class Case(MatchedPair):
         x, y = (part.on_grid(columns, rows, height) for part in (self.geometry.x, self.geometry.y))
         heights, spacing = HeightMap(x, y, height, found.score, found.filled), self.task.scene.gsd_m
         layer = grid_height_map(self.grid, heights, self.geometry.metres_per_px, spacing, FUSION)
-        return aggregate([layer], "mean").height
+        return aggregate([layer], "mean", rim_cells(spacing, CELL)).height
 
     def score(self, parameters: MatchingParameters, backend: PairBackend) -> List[float]:
         """CPU seconds, valid %, MedAE, MAE, RMSE (m), C1, C2.5 (%) of the matcher with these parameters."""

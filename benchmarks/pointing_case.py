@@ -90,7 +90,8 @@ class Case:
             if number < wrong:
                 error = rng.uniform(4, 12, 2) * rng.choice((-1, 1), 2)
                 pixels = {name: pixel + error for name, pixel in pixels.items()}
-            points.append(Gcp(f"G{number + 1:02d}", *map(float, ground), "control", pixels))
+            lon, lat, height = map(float, ground)
+            points.append(Gcp(f"G{number + 1:02d}", lon, lat, height, "control", pixels))
         return points
 
     def misfits(self, pointing: Dict[str, np.ndarray], ground: np.ndarray) -> List[np.ndarray]:

@@ -221,7 +221,8 @@ class ControlPointsDock(QgsDockWidget):
         from ..repm_qgis.pointing.ground_control import read_gcps
 
         datum = "" if self.datum.currentIndex() == 0 else self.datum.currentText()
-        views, elsewhere = self.measuring.views or None, []
+        views = self.measuring.views or None
+        elsewhere: list[str] = []
         if not self._tried(lambda: self.measuring.load(read_gcps(path, views, datum, elsewhere.append))):
             return False
         self._path = ""  # a table of the user's may have more columns than ours: it is not written over
@@ -415,7 +416,7 @@ class ControlPointsDock(QgsDockWidget):
             panel.image.show_point(predicted, measured, move)
             if self.measuring.is_skipped(gcp.id, view.name):
                 panel.said.setText(self.tr("not visible here"))
-            elif measured is not None:
+            elif check is not None and measured is not None:
                 col, row = check.residuals[view.name]
                 panel.said.setText(
                     self.tr("from the RPC: {col}, {row} px").format(col=f"{col:+.2f}", row=f"{row:+.2f}")

@@ -62,8 +62,16 @@ class Dialog(AlgorithmDialog):
         if successful:
             text, buttons = STEPS.after(iface, self.algorithm().name(), self._given, result)
             if buttons and self.isVisible():
-                closing = [(title, lambda run=run: (self.close(), run())) for title, run in buttons]
-                push_message(self.messageBar(), text, closing)
+                push_message(self.messageBar(), text, [(title, self._closing(run)) for title, run in buttons])
+
+    def _closing(self, run: Callable[[], Any]) -> Callable[[], None]:
+        """What a button of this dialog does: another step begins where this one's dialog stood."""
+
+        def close_and_run() -> None:
+            self.close()
+            run()
+
+        return close_and_run
 
 
 class Panel(ParametersPanel):

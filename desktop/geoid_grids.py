@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from typing import Any, NamedTuple, Optional
 
@@ -28,15 +29,13 @@ class Grid(NamedTuple):
 
 def user_folder() -> str:
     """The folder of the user's own grids; PROJ looks there without a restart."""
-    from pyproj import datadir
-
+    datadir: Any = importlib.import_module("pyproj.datadir")
     return str(datadir.get_user_data_dir(create=True))
 
 
 def is_there(name: str) -> bool:
     """Whether PROJ has a grid."""
-    from pyproj import datadir
-
+    datadir: Any = importlib.import_module("pyproj.datadir")
     folders = os.pathsep.join((datadir.get_data_dir(), datadir.get_user_data_dir()))
     return any(os.path.exists(os.path.join(folder, name)) for folder in folders.split(os.pathsep) if folder)
 

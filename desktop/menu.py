@@ -27,7 +27,8 @@ class PluginMenu:
     """Our entries in QGIS's menu, and the windows that they open; ``remove`` takes both away again."""
 
     def __init__(self, iface: Any) -> None:
-        self._iface, self._actions = iface, []
+        self._iface = iface
+        self._actions: list[Any] = []
         self._dialogs: list[Any] = []
         self._panel: Optional[FirstSteps] = None
         self._installer: Optional[InstallDialog] = None

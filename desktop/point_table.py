@@ -20,7 +20,8 @@ class PointTable(QAbstractTableModel):
 
     def __init__(self, measuring: Any, parent: Any = None) -> None:
         super().__init__(parent)
-        self._measuring, self._checks = measuring, {}
+        self._measuring = measuring
+        self._checks: dict[str, Any] = {}
 
     def renew(self) -> None:
         """Points or pixels have changed."""

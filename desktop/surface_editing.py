@@ -271,15 +271,14 @@ class SurfaceEditingDock(QgsDockWidget):
         if self.records is None:
             self._say(self.tr("Choose the DSM that is to be edited."))
             return
-        name, width = self.operation.currentData(), None
+        name = self.operation.currentData()
         try:
             self._to_records(geometry)
         except QgsCsException as error:
             self._say(str(error))
             return
-        if self._tool.kind != POLYGON:
-            width = self.width_m.value()
-        if self._tool.kind == BRUSH:
+        width = None if self._tool.kind == POLYGON else self.width_m.value()
+        if width is not None and self._tool.kind == BRUSH:
             simpler = geometry.simplify(width / 20)
             geometry = simpler if simpler.length() > 0 else geometry
         value = self.value.value() if name in ("set", "flatten") else None

@@ -275,7 +275,7 @@ class _EngineProcess:
         self._lines: queue.Queue[Optional[str]] = queue.Queue()
         self._last_words: collections.deque[str] = collections.deque(maxlen=50)
         # "-m" looks for modules in the working folder first: that must be ours, and no folder that others write to.
-        apart = {"creationflags": 0x00000200 | 0x08000000} if _WINDOWS else {"start_new_session": True}
+        apart: dict[str, Any] = {"creationflags": 0x00000200 | 0x08000000} if _WINDOWS else {"start_new_session": True}
         try:
             # Before Qt 6, QProcess makes no session.
             self._process = subprocess.Popen(  # nosec B603 # no shell, and an argument list of our own
@@ -301,14 +301,16 @@ class _EngineProcess:
     def _tell(self, line: str) -> None:
         """Give the process its job, or a later word, and leave the pipe open: that it closes says that QGIS is gone."""
 
+        pipe: Any = self._process.stdin
+
         def write() -> None:
             with suppress(OSError, ValueError):  # it has ended, and its output says why
-                self._process.stdin.write(f"{line}\n".encode())
-                self._process.stdin.flush()
+                pipe.write(f"{line}\n".encode())
+                pipe.flush()
 
         threading.Thread(target=write, daemon=True).start()  # a pipe holds 64 KiB
 
-    def _read(self, stream, keep: Callable[[Any], None], at_end: bool = False) -> threading.Thread:
+    def _read(self, stream: Any, keep: Callable[[Any], None], at_end: bool = False) -> threading.Thread:
         def read() -> None:
             with stream:
                 for line in stream:

@@ -33,7 +33,9 @@ def _marked(text: str) -> str:
 def _picture(block: str, folder: str) -> str:
     """A picture alone in its paragraph, as wide as the narrow panel; "" for other blocks, or where the file is gone."""
     found = re.fullmatch(r"!\[([^\]]*)\]\(([^)\s]+)\)", block)
-    path = os.path.realpath(os.path.join(folder, found[2])) if found else ""
+    if found is None:
+        return ""
+    path = os.path.realpath(os.path.join(folder, found[2]))
     if not os.path.exists(path):
         return ""
     address = html.escape(QUrl.fromLocalFile(path).toString())

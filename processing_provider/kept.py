@@ -97,7 +97,7 @@ def _is_temporary(value: object) -> bool:
     return (sink.staticValue() if sink is not None else value) == QgsProcessing.TEMPORARY_OUTPUT
 
 
-def _at(path: str, value: object) -> object:
+def _at(path: str, value: Any) -> Any:
     """The value with another place; whether QGIS loads the layer, and where, stays."""
     if _sink(value) is None:
         return path

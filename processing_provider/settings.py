@@ -90,7 +90,7 @@ def unregister() -> None:
     ProcessingConfig.settingIcons.pop(GROUP, None)
 
 
-def _value(name: str):
+def _value(name: str) -> Any:
     try:
         from processing.core.ProcessingConfig import ProcessingConfig
     except ImportError:  # a script that uses the provider without the Processing plugin

@@ -107,22 +107,22 @@ class Browser:
         """Wait until what was asked for is drawn."""
         self.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
 
-    def mouse(self, kind, x, y, buttons=0, **more):
+    def mouse(self, kind, place, buttons=0, **more):
         button = "left" if buttons == 1 else "right" if buttons == 2 else "none"
-        given = {"type": f"mouse{kind}", "x": x, "y": y, "button": button, "buttons": buttons, **more}
+        given = {"type": f"mouse{kind}", "x": place[0], "y": place[1], "button": button, "buttons": buttons, **more}
         self.ask("Input.dispatchMouseEvent", **given)
 
     def click(self, x, y):
-        self.mouse("Moved", x, y)
-        self.mouse("Pressed", x, y, 1, clickCount=1)
-        self.mouse("Released", x, y, 1, clickCount=1)
+        self.mouse("Moved", (x, y))
+        self.mouse("Pressed", (x, y), 1, clickCount=1)
+        self.mouse("Released", (x, y), 1, clickCount=1)
         self.frame()
 
     def drag(self, start, end, buttons=1):
-        self.mouse("Pressed", *start, buttons, clickCount=1)
+        self.mouse("Pressed", start, buttons, clickCount=1)
         for share in (0.25, 0.5, 0.75, 1.0):
-            self.mouse("Moved", *(a + (b - a) * share for a, b in zip(start, end)), buttons)
-        self.mouse("Released", *end, buttons, clickCount=1)
+            self.mouse("Moved", [a + (b - a) * share for a, b in zip(start, end)], buttons)
+        self.mouse("Released", end, buttons, clickCount=1)
         self.frame()
 
     def key(self, key, shift=False):

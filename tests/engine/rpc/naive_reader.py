@@ -75,9 +75,9 @@ def _find(kind: str, text: str, axis: str, end: str, theirs: str) -> Tuple[float
         part = re.search(r"<(Inverse_Model|GroundtoImage_Values)\b.*?</\1", text, re.DOTALL)[0]
         find = lambda key, where: _floats(re.search(rf"<{key}\b[^>]*>([^<]*)</", where)[1])[0]  # noqa: E731
         return tuple(find(f"{name}_COEFF_0*{i}", part) for i in range(1, 21)) if polynomial else (find(name, text),)
-    find = lambda key: _floats(re.search(rf"^\s*{key}\s*[:=]([^\n\r]*)", text, re.M | re.I)[1])[0]  # noqa: E731
+    value_of = lambda key: _floats(re.search(rf"^\s*{key}\s*[:=]([^\n\r]*)", text, re.M | re.I)[1])[0]  # noqa: E731
     first = 0 if kind.startswith("OSSIM") else 1
-    return tuple(find(f"{name}_COEFF_0*{i}") for i in range(first, first + 20)) if polynomial else (find(name),)
+    return tuple(value_of(f"{name}_COEFF_0*{i}") for i in range(first, first + 20)) if polynomial else (value_of(name),)
 
 
 def _naive_tiff(data: bytes) -> Optional[Numbers]:

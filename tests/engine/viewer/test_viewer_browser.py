@@ -96,7 +96,7 @@ def height_at(heights, column, row):
 
 
 def pointed(browser, x, y):
-    browser.mouse("Moved", x, y)
+    browser.mouse("Moved", (x, y))
     browser.frame()
     return text(browser, "#status")
 
@@ -194,7 +194,7 @@ def test_two_clicks_make_a_profile_of_the_dsm(shown, made):
     )
     far = -1.0
     for share in (0.2, 0.5, 0.8):
-        shown.mouse("Moved", box[0] + share * box[2], box[1] + box[3] / 2)
+        shown.mouse("Moved", (box[0] + share * box[2], box[1] + box[3] / 2))
         shown.frame()
         said = text(shown, "#under")
         height, column, row = place_in(said)
