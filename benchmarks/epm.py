@@ -78,7 +78,9 @@ def terrain_error(rpc: Rpc, frame: EnuFrame, window: Any, altitudes: Tuple[float
     """The terrain model's error where its surface is wrong by up to 10 m, drawn anew at every point."""
     grid = virtual_grid(rpc.localise, window, altitudes, frame)
     surface = rough_surface(rpc, altitudes, seed)
-    refined = refine_pinhole("terrain", fit_pinhole(grid).camera, grid, window, terrain=Terrain(rpc, frame, surface))
+    refined = refine_pinhole(
+        "terrain", fit_pinhole(grid).camera, grid, window=window, terrain=Terrain(rpc, frame, surface)
+    )
     rng = np.random.default_rng(seed)
     places = [rng.uniform(window[i], window[i] + window[i + 2] - 1, 7000) for i in (0, 1)]
     pixels = np.column_stack(places)
@@ -103,7 +105,7 @@ def full_scenes() -> List[str]:
         fitted = fit_pinhole(grid)
         seconds = time.process_time() - start
         homography, polynomial = (
-            refine_pinhole(model, fitted.camera, grid, window).error for model in ("homography", "polynomial")
+            refine_pinhole(model, fitted.camera, grid, window=window).error for model in ("homography", "polynomial")
         )
         middle = (rpc.col_off - 2560, rpc.row_off - 2560, 5120.0, 5120.0)
         terrain.append([terrain_error(rpc, frame, part, altitudes, seed) for part in (window, middle)])
@@ -147,7 +149,7 @@ def other_rpcs() -> List[str]:
         window = (rpc.col_off - rpc.col_scale, rpc.row_off - rpc.row_scale, 2 * rpc.col_scale, 2 * rpc.row_scale)
         grid = virtual_grid(rpc.localise, window, rpc.height_range, frame)
         fitted = fit_pinhole(grid)
-        left = refine_pinhole("polynomial", fitted.camera, grid, window).error
+        left = refine_pinhole("polynomial", fitted.camera, grid, window=window).error
         altitudes = "{:.0f}..{:.0f}".format(*rpc.height_range)
         rows.append([path.name, f"{window[2]:.0f} x {window[3]:.0f}", altitudes, fitted.error.rmse, left.rmse])
     headers = "file | px | altitudes, m | uncorrected RMSE, px | polynomial RMSE, px"
@@ -157,7 +159,7 @@ def other_rpcs() -> List[str]:
 
 def simulated(sensor: Sensor, look: Look, size: Tuple[int, int], altitudes: Tuple[float, float]) -> Rpc:
     """The RPC of a simulated full scene."""
-    view = aim(sensor, look, (6.6, 43.4, sum(altitudes) / 2), size, 190.0, 7, "view")
+    view = aim(sensor, look, (6.6, 43.4, sum(altitudes) / 2), size=size, heading_deg=190.0, seed=7, name="view")
     return fit_rpc(view.localise, size, altitudes, RpcFitParameters(nodes=(21, 21, 9))).rpc
 
 
@@ -175,7 +177,7 @@ def paper_table() -> List[str]:
             fitted = fit_pinhole(grid)
             results = {"uncorrected": fitted.error}
             for model in ("homography", "polynomial"):
-                results[model] = refine_pinhole(model, fitted.camera, grid, window).error
+                results[model] = refine_pinhole(model, fitted.camera, grid, window=window).error
             for (model, ours), theirs in zip(results.items(), PAPER[name, label]):
                 rows.append([name, label, model, ours.samp_rmse, ours.line_rmse, ours.rmse, ours.max, *theirs])
     headers = (
@@ -211,7 +213,7 @@ def differences(rpc: Rpc, seed: int, rng: np.random.Generator) -> Iterator[Tuple
     camera = fit_pinhole(grid).camera
     terrain = Terrain(rpc, frame, rough_surface(rpc, altitudes, seed))
     for model in ("polynomial", "terrain"):
-        M = refine_pinhole(model, camera, grid, window, terrain=terrain).to_original
+        M = refine_pinhole(model, camera, grid, window=window, terrain=terrain).to_original
         error = np.abs(M.original_from_refined(M.refined_from_original(pixels)) - pixels).max()
         yield f"M round trip, {model}", float(error), 1e-3
 

@@ -56,7 +56,7 @@ def adjusted(images: Sequence[str], workspace: str) -> Dict[str, Any]:
     used = resource.getrusage(resource.RUSAGE_SELF)
     pairs = choose_pairs(scene)
     stretches = {view.name: view.stretch() for view in scene.views}
-    found = point_views(scene, pairs, stretches, "auto", (), Silent(), 1)
+    found = point_views(scene, pairs, stretches, model="auto", gcps=(), progress=Silent(), workers=1)
     figures = found.figures
     return {
         "fit_s": used.ru_utime + used.ru_stime,

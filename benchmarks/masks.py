@@ -41,10 +41,19 @@ def measured(case: Case) -> List[Tuple[str, np.ndarray, float]]:
     matched = case.matched(NO_MASK)
     seen, geometry = sample_pair(case.task, case.frame, case.geometry), case.geometry
     start = time.process_time()
-    images, sign, metres = (seen.first, seen.second, seen.disparities), geometry.height_sign, geometry.metres_per_px
-    residual = sgm.match(*images, sign, geometry.relief_displacement, MATCHING)
+    sign = geometry.height_sign
+    residual = sgm.match(seen.first, seen.second, seen.disparities, sign, geometry.relief_displacement, MATCHING)
     wider = partial(wide_match, seen.reduced(), sign, sgm.match, MATCHING)
-    kept = mask_unreliable(residual, *images, sign, metres, wider=wider, full_disparity=seen.full_disparity)
+    kept = mask_unreliable(
+        residual,
+        seen.first,
+        seen.second,
+        disparities=seen.disparities,
+        height_sign=sign,
+        metres_per_px=geometry.metres_per_px,
+        wider=wider,
+        full_disparity=seen.full_disparity,
+    )
     kept = kept.in_frame(seen.window, case.frame.size)
     seconds = time.process_time() - start
     dsms = [case.dsm_of(found) for found in (matched, kept)]

@@ -123,7 +123,7 @@ def fitted(images: Sequence[str], workspace: Path) -> SceneFile:
 def pointed(scene: SceneFile, model: str = "auto", parameters: PointingParameters = POINTING) -> Pointing:
     pairs = choose_pairs(scene)
     stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
-    return point_views(scene, pairs, stretches, model, (), Silent(), parameters=parameters)
+    return point_views(scene, pairs, stretches, model=model, gcps=(), progress=Silent(), parameters=parameters)
 
 
 def shift_of(col: float, row: float) -> np.ndarray:

@@ -84,7 +84,7 @@ _surfaces: Dict[Any, Tuple[CellGrid, np.ndarray]] = {}
 def _surface(scene: SceneFile, cell: float, coarse: bool) -> Tuple[CellGrid, np.ndarray]:
     key = str(scene.path), cell, coarse
     if key not in _surfaces:
-        _surfaces[key] = own_surface(scene, cell, 0, 0, Silent(), coarse)
+        _surfaces[key] = own_surface(scene, cell, 0, memory=0, progress=Silent(), coarse=coarse)
     return _surfaces[key]
 
 
@@ -169,7 +169,7 @@ def trial(case: Case, make: Callable[[Case, np.random.Generator], FoundHeights],
     surface = case.surface(found)
     grid = replace(surface.grid, west=surface.grid.west + away[0], north=surface.grid.north + away[1])
     surface = replace(surface, grid=grid, height=surface.height + np.float32(away[2]))
-    shift = lay(surface, found, HeightDatum.of(""), case.prior, False, lambda: None).shift
+    shift = lay(surface, found, HeightDatum.of(""), prior=case.prior, tilted=False, check=lambda: None).shift
     return shift.moved - (case.off - away), shift.deviations, len(shift.determined)
 
 

@@ -111,7 +111,15 @@ def aimed(spec: DatedSpec, one: Acquisition, number: int) -> PushbroomView:
     reach = wanted * 6378.0e3 / (6378.0e3 + WORLDVIEW3.altitude_m)
     look = Look(-math.degrees(reach) * math.cos(turn), one.gsd_m, -math.degrees(reach) * math.sin(turn))
     for _ in range(8):
-        view = aim(WORLDVIEW3, look, target, size, one.heading_deg, spec.seed + 101 * number, f"img_{number:02d}")
+        view = aim(
+            WORLDVIEW3,
+            look,
+            target,
+            size=size,
+            heading_deg=one.heading_deg,
+            seed=spec.seed + 101 * number,
+            name=f"img_{number:02d}",
+        )
         ahead, right = _sight_angles(view, target, one.heading_deg)
         look = Look(
             look.pitch_deg + 0.9 * (-math.degrees(wanted) * math.cos(turn) - ahead),

@@ -76,7 +76,9 @@ def exposed(spec: SceneSpec, exposures: Sequence[Exposure]) -> List[PushbroomVie
         north = one.along_m * np.cos(turn) - one.right_m * np.sin(turn)
         place = (*frame.to_geodetic(np.array([[east, north, 0.0]]))[0][:2], height)
         seed = spec.seed + 101 * number
-        views.append(aim(one.sensor, one.look, place, one.size, spec.heading_deg, seed, one.name))
+        views.append(
+            aim(one.sensor, one.look, place, size=one.size, heading_deg=spec.heading_deg, seed=seed, name=one.name)
+        )
     return views
 
 

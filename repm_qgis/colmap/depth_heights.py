@@ -51,6 +51,7 @@ def depth_geometry(
     scene: Scene,
     tile: TileFrame,
     reference: FrameView,
+    *,
     sources: Sequence[FrameView],
     crs: str,
     parameters: ColmapParameters = COLMAP,

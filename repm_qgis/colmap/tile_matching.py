@@ -100,7 +100,7 @@ def match_tile(task: GpuTask, gpu: Gpu, stop: threading.Event, run: Runner) -> L
         keys = {name: fingerprint(task.key, name, others, frame.bounds) for name, others in sources.items()}
         done = [finished_record(task.path(name, part), key) for name, key in keys.items()]
         if not all(done):
-            done = _match_part(task, part, frame, sources, keys, gpu, stop, run)
+            done = _match_part(task, part, frame, sources=sources, keys=keys, gpu=gpu, stop=stop, run=run)
         records += [record for record in done if record]
     return records
 
@@ -137,6 +137,7 @@ def _match_part(
     task: GpuTask,
     part: int,
     frame: TileFrame,
+    *,
     sources: Dict[str, Tuple[str, ...]],
     keys: Dict[str, str],
     gpu: Gpu,
@@ -152,14 +153,17 @@ def _match_part(
         most, parameters = max(len(others) for others in sources.values()), task.parameters.patch_match
         options = colmap_options(task.options, frame.depths(task.scene), most, gpu.index, parameters)
         run(folder, options, fusion_options(parameters) if task.options.fusion else None, stop)
-        shown = (task, part, frame, images)
-        return [_height_map(*shown, name, others, folder, keys[name]) for name, others in sources.items()]
+        return [
+            _height_map(task, part, frame, images=images, name=name, others=others, folder=folder, key=keys[name])
+            for name, others in sources.items()
+        ]
 
 
 def _height_map(
     task: GpuTask,
     part: int,
     frame: TileFrame,
+    *,
     images: Sequence[FloatImage],
     name: str,
     others: Sequence[str],
@@ -170,7 +174,15 @@ def _height_map(
     numbers = {view.view.name: index for index, view in enumerate(frame.views)}
     reference, sources = frame.views[numbers[name]], [frame.views[numbers[other]] for other in others]
     try:
-        geometry = depth_geometry(task.scene, frame, reference, sources, task.scene.crs, task.parameters, task.stereo)
+        geometry = depth_geometry(
+            task.scene,
+            frame,
+            reference,
+            sources=sources,
+            crs=task.scene.crs,
+            parameters=task.parameters,
+            stereo=task.stereo,
+        )
     except EmptyResultError:
         return None
     image = images[numbers[name]]
@@ -281,6 +293,6 @@ def tile_height_source(
     views = [view for view in map(frame.view, names) if view is not None] if frame else []
     if frame is None or len(views) < len(names) or views[0].size != record.size:
         raise foreign_height_map(record, scene)
-    tables = depth_geometry(scene, frame, views[0], views[1:], crs, colmap, stereo)
+    tables = depth_geometry(scene, frame, views[0], sources=views[1:], crs=crs, parameters=colmap, stereo=stereo)
     part = (bounds, own) if record.part else None
     return HeightSource(record.file, tables.x, tables.y, record.size, record.altitudes, part)

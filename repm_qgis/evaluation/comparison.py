@@ -56,6 +56,7 @@ def compare(
     dsm: gdal.Dataset,
     reference: gdal.Dataset,
     method: str,
+    *,
     thresholds: Sequence[float],
     progress: Progress,
     error: Optional[raster.RasterWriter] = None,

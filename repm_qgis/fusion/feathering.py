@@ -15,6 +15,7 @@ def feathered(
     height: Floats,
     index: int,
     windows: Sequence[Window],
+    *,
     stored: Sequence[StoredTile],
     size: Size,
     tolerance: float,

@@ -60,6 +60,7 @@ def join_tiles(
     options: DsmFuseOptions,
     scene: Scene,
     layout: DsmLayout,
+    *,
     stored: Sequence[StoredTile],
     folder: str,
     walls: bool,
@@ -110,12 +111,19 @@ def _feathered(
 ) -> Iterator[Tuple[Window, FusedTile]]:
     """The window of each tile and the tile, with heights that change into its neighbours'."""
     metres = [record.metres_per_px for tile in scene.tiles for record in tile.heights]
-    numbers = float(np.median(metres)), parameters.feather_cells
     for index, (window, tile) in enumerate(zip(layout.windows, stored)):
         result = tile.load()
         # Turned tiles overlap in their windows: there each tile has only its own cells.
         if result.own is None:
-            height = feathered(result.fused.height, index, layout.windows, stored, layout.grid.size, *numbers)
+            height = feathered(
+                result.fused.height,
+                index,
+                layout.windows,
+                stored=stored,
+                size=layout.grid.size,
+                tolerance=float(np.median(metres)),
+                margin=parameters.feather_cells,
+            )
             result = replace(result, fused=result.fused.with_height(height.astype(np.float32)))
         yield window, result
 

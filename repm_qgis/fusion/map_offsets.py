@@ -175,7 +175,11 @@ def _compared(task: _TileTask) -> _Compared:
         points = source.within(None, parameters.every_px)
         own = np.where(points.filled, np.nan, points.height)
         apart = parameters.every_px * task.scene.matched_gsd_m(record.pair)
-        layers.append(grid_points(grid, points.x, points.y, own, points.score, apart, task.fusion.gridding)[0])
+        layers.append(
+            grid_points(
+                grid, points.x, points.y, height=own, score=points.score, spacing=apart, parameters=task.fusion.gridding
+            )[0]
+        )
         columns, rows = (nodes(size, parameters.lattice_px) for size in record.size)
         known = points.height[np.isfinite(points.height)]
         middle = float(np.median(known)) if known.size else sum(record.altitudes) / 2

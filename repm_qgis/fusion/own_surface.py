@@ -30,6 +30,7 @@ def own_surface(
     scene: Scene,
     cell: float,
     workers: int,
+    *,
     memory: int,
     progress: Progress,
     coarse: bool = False,

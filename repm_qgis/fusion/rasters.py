@@ -108,6 +108,7 @@ def write_products(
     options: DsmFuseOptions,
     scene: Scene,
     layout: DsmLayout,
+    *,
     joined: JoinedTiles,
     blocks: Sequence[Block],
     folder: str,

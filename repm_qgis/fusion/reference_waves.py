@@ -42,6 +42,7 @@ def with_reference_waves(
     scene: Scene,
     references: Sequence[Reference],
     workers: int,
+    *,
     memory: int,
     progress: Progress,
     parameters: WaveParameters = REGISTRATION.waves,

@@ -86,7 +86,7 @@ def shaded_ground(
     cells = _within(np.flatnonzero(shadow & doubted), np.isfinite(height), cell, sun, parameters)
     sure = ~doubted & ~(shadow & steep)
     ground = np.full(height.shape, np.nan, np.float32)
-    ground.ravel()[cells] = _shadow_ends(height, cells, sure, steep, cell, sun, parameters)
+    ground.ravel()[cells] = _shadow_ends(height, cells, sure, steep=steep, cell=cell, sun=sun, parameters=parameters)
     smooth = np.full(height.shape, np.nan, np.float32)
     smooth.ravel()[cells] = _like_around(ground, cells, cell, parameters)
     return smooth
@@ -101,7 +101,14 @@ def _within(cells: IntArray, known: Mask, cell: float, sun: Sun, parameters: Sha
 
 
 def _shadow_ends(
-    height: Floats, cells: IntArray, sure: Mask, steep: Mask, cell: float, sun: Sun, parameters: ShadedGroundParameters
+    height: Floats,
+    cells: IntArray,
+    sure: Mask,
+    *,
+    steep: Mask,
+    cell: float,
+    sun: Sun,
+    parameters: ShadedGroundParameters,
 ) -> FloatImage:
     """(N,) the level ground at which the shadow of each of N cells ends; NaN where fewer than two directions end so."""
     turns, reach = parameters.turns_deg, _reach(cell, parameters)

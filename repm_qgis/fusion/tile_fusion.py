@@ -200,7 +200,9 @@ def grid_height_map(
     filled = np.flatnonzero(heights.filled)
     own, gridding = np.where(heights.filled, np.nan, heights.height), parameters.gridding
     matched = remove_isolated_points(own, metres_per_px, parameters.isolated)
-    height, score, covered = grid_points(grid, heights.x, heights.y, matched, heights.score, spacing, gridding)
+    height, score, covered = grid_points(
+        grid, heights.x, heights.y, height=matched, score=heights.score, spacing=spacing, parameters=gridding
+    )
     known = np.where(heights.filled, heights.height, matched)
     occluded = occluded_ground(replace(heights, height=known), parameters.step_px * metres_per_px)
     maps = (heights.x, heights.y, heights.height)
@@ -208,7 +210,9 @@ def grid_height_map(
     half = parameters.covered * (grid.cell / spacing) ** 2
     if not z.size:
         return HeightLayer(height, score, np.full(grid.shape, np.nan), metres_per_px, spacing, covered < half)
-    background, _, behind = grid_points(grid, x, y, z, np.zeros(len(z)), spacing, gridding)
+    background, _, behind = grid_points(
+        grid, x, y, height=z, score=np.zeros(len(z)), spacing=spacing, parameters=gridding
+    )
     # A roof's last pixels reach into cells that are mostly occluded ground.
     with np.errstate(invalid="ignore"):
         mostly_behind = (behind > covered) & (height - background > surface_step(grid.cell, gridding))

@@ -147,6 +147,7 @@ def refine_pinhole(
     model: str,
     camera: PinholeCamera,
     grid: VirtualGrid,
+    *,
     window: Sequence[float],
     order: int = 2,
     terrain: Optional[Terrain] = None,

@@ -29,6 +29,7 @@ def grid_points(
     grid: CellGrid,
     x: FloatArray,
     y: FloatArray,
+    *,
     height: FloatArray,
     score: Floats,
     spacing: float = math.inf,
@@ -44,7 +45,7 @@ def grid_points(
     """
     factor = widening(grid.cell, spacing, parameters)
     if factor > 1:
-        return _wide_cells(factor, grid, x, y, height, score, spacing, parameters)
+        return _wide_cells(factor, grid, x, y=y, height=height, score=score, spacing=spacing, parameters=parameters)
     footprint, step = min(spacing / grid.cell, 1.0), surface_step(grid.cell, parameters)
     points = _placed(grid, x, y, height, score)
     padded = (grid.shape[0] + 2) * (grid.shape[1] + 2)
@@ -73,6 +74,7 @@ def _wide_cells(
     factor: int,
     grid: CellGrid,
     x: FloatArray,
+    *,
     y: FloatArray,
     height: FloatArray,
     score: Floats,
@@ -88,7 +90,9 @@ def _wide_cells(
             west, north = grid.west + column * grid.cell - before, grid.north - row * grid.cell + before
             shape = len(range(row, grid.shape[0], factor)), len(range(column, grid.shape[1], factor))
             every = CellGrid(west, north, wide, shape)
-            found = grid_points(every, x, y, height, score, min(spacing, wide), parameters)
+            found = grid_points(
+                every, x, y, height=height, score=score, spacing=min(spacing, wide), parameters=parameters
+            )
             for whole, part in zip((heights, scores, weights), found):
                 whole[row::factor, column::factor] = part
     return heights, scores, weights / factor**2

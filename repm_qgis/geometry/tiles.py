@@ -52,6 +52,7 @@ def pixel_window(
     project: Callable[[FloatArray], FloatArray],
     to_geodetic: Callable[[FloatArray], FloatArray],
     bounds: Bounds,
+    *,
     altitudes: Altitudes,
     size: Size,
     margin: int = 0,

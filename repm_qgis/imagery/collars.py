@@ -22,6 +22,7 @@ def write_collar_mask(
     image: str,
     band: int,
     mask: str,
+    *,
     target: str,
     check: Callable[[], None] = lambda: None,
     parameters: CollarParameters = COLLARS,
@@ -90,7 +91,9 @@ def _strips(
     above = Window(part.col, 0, part.width, part.row)
     top = read(dataset, Window(part.col, part.row, part.width, 1), band)
     # Columns that are black, or hidden, from the image's top down to here.
-    falling = _black_throughout(dataset, above, 0, _dark(top, parameters)[0], band, check, parameters)
+    falling = _black_throughout(
+        dataset, above, 0, among=_dark(top, parameters)[0], band=band, check=check, parameters=parameters
+    )
     end_row, end_col = part.row + part.height, part.col + part.width
     for row in range(part.row, end_row, parameters.strip_rows):
         check()
@@ -100,7 +103,9 @@ def _strips(
         left, right = _runs(dark, parameters.least_px)
         for run, edge, col, stop in ((left, 0, 0, part.col), (right, -1, end_col, dataset.RasterXSize)):
             outside = Window(col, row, stop - col, count)
-            run &= _black_throughout(dataset, outside, 1, run[:, edge], band, check, parameters)[:, None]
+            run &= _black_throughout(
+                dataset, outside, 1, among=run[:, edge], band=band, check=check, parameters=parameters
+            )[:, None]
         down = np.logical_and.accumulate(np.vstack([falling, dark]), axis=0)[1:]
         if row == 0 and count >= parameters.least_px:
             down &= down[parameters.least_px - 1]  # columns whose black ends sooner are dark ground
@@ -112,6 +117,7 @@ def _black_throughout(
     dataset: Image,
     window: Window,
     axis: int,
+    *,
     among: Mask,
     band: int,
     check: Callable[[], None],

@@ -320,7 +320,7 @@ def created(
     """
     temporary = temporary_name(path, own)
     whole = f"{os.path.splitext(temporary)[0]}.cog{os.path.splitext(temporary)[1]}"
-    writer = RasterWriter(_create(temporary, path, shape, dtype, bands, compress, own), path)
+    writer = RasterWriter(_create(temporary, path, shape, dtype=dtype, bands=bands, compress=compress, own=own), path)
     try:
         writer.describe(geotransform, crs_wkt, nodata, descriptions, metadata or {}, unit)
         yield writer
@@ -353,7 +353,7 @@ def _to_cog(source: str, target: str, path: str, dtype: np.dtype[Any], overviews
 
 
 def _create(
-    temporary: str, path: str, shape: Tuple[int, int], dtype: np.dtype[Any], bands: int, compress: bool, own: bool
+    temporary: str, path: str, shape: Tuple[int, int], *, dtype: np.dtype[Any], bands: int, compress: bool, own: bool
 ) -> gdal.Dataset:
     kinds = {"float32": gdal.GDT_Float32, "float64": gdal.GDT_Float64}
     kinds.update({"uint8": gdal.GDT_Byte, "uint16": gdal.GDT_UInt16, "int32": gdal.GDT_Int32})

@@ -75,6 +75,7 @@ def coarse_surface(
     scene: Scene,
     pairs: Sequence[Tuple[str, str]],
     stretches: Dict[str, Stretch],
+    *,
     match: PairMatcher,
     workers: int,
     progress: Progress,
@@ -130,7 +131,7 @@ def _match_block(task: _Task) -> Optional[FloatArray]:
     x, y = (table.on_grid(columns, rows, z) for table in (geometry.x, geometry.y))
     spacing, part = p.factor * scene.matched_gsd_m((task.first, task.second)), task.grid.window(task.bounds)
     spacing = spacing if spacing > task.grid.cell else math.inf  # then a point is as wide as a cell
-    cells, _, _ = grid_points(task.grid.part(part), x, y, z, found.score, spacing)
+    cells, _, _ = grid_points(task.grid.part(part), x, y, height=z, score=found.score, spacing=spacing)
     # The median removes wrong cells and cells without neighbours.
     return median_of_neighbours(cells, p.median_cells, p.least_neighbours)
 

@@ -226,15 +226,23 @@ def match_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> D
     seen, sign = sample_pair(task, pair, geometry), geometry.height_sign
     subpixel = task.parameters.subpixel.of_pair(task.scene.matched_gsd_m(task.pair) / geometry.metres_per_px)
     parameters, match = replace(task.parameters, subpixel=subpixel), task.backend.pair_matcher
-    images = seen.first, seen.second, seen.disparities, sign
-    matched = match(*images, geometry.relief_displacement, parameters)
+    matched = match(seen.first, seen.second, seen.disparities, sign, geometry.relief_displacement, parameters)
 
     def wider(missing: Mask) -> DisparityMap:
         return wide_match(seen.reduced(), sign, match, parameters, missing)
 
     # Clouds are told by full disparities: a prior that lies on a cloud would hide how high the cloud is.
-    metres, reliability = geometry.metres_per_px, parameters.reliability
-    kept = mask_unreliable(matched, *images, metres, reliability, wider, seen.full_disparity)
+    kept = mask_unreliable(
+        matched,
+        seen.first,
+        seen.second,
+        disparities=seen.disparities,
+        height_sign=sign,
+        metres_per_px=geometry.metres_per_px,
+        parameters=parameters.reliability,
+        wider=wider,
+        full_disparity=seen.full_disparity,
+    )
     return kept.in_frame(seen.window, pair.size)
 
 

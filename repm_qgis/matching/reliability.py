@@ -31,6 +31,7 @@ def mask_unreliable(
     matched: DisparityMap,
     first: FloatImage,
     second: FloatImage,
+    *,
     disparities: Tuple[int, int],
     height_sign: float,
     metres_per_px: float,

@@ -23,6 +23,7 @@ def mosaic_page(
     options: MosaicOptions,
     layout: Layout,
     overlaps: Sequence[Overlap],
+    *,
     offsets: Offsets,
     cells: Dict[int, int],
     seam: Optional[float],

@@ -105,6 +105,7 @@ def write_mosaic(
     rasters: Sequence[MosaicRaster],
     grid: CellGrid,
     blocks: Sequence[Block],
+    *,
     folder: str,
     workers: int,
     parameters: MosaicParameters,
@@ -120,7 +121,9 @@ def write_mosaic(
     with ExitStack() as stack:
         for index, raster in enumerate(vrts):
             part = Part(progress, index / len(rasters), (index + 1) / len(rasters))
-            stack.enter_context(_tiled(raster, grid, stored, folder, workers, parameters, part))
+            stack.enter_context(
+                _tiled(raster, grid, stored, folder=folder, workers=workers, parameters=parameters, progress=part)
+            )
         if files:
             rest = Part(progress, len(vrts) / len(rasters), 1.0)
             run_whole(_write_files, (files, grid, stored), rest, "writing the mosaic")
@@ -170,6 +173,7 @@ def _tiled(
     raster: MosaicRaster,
     grid: CellGrid,
     blocks: Sequence[Stored],
+    *,
     folder: str,
     workers: int,
     parameters: MosaicParameters,

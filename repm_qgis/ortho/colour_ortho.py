@@ -58,6 +58,7 @@ def make_colour_ortho(
     plan: ColourPlan,
     dsm: FinishedSurface,
     options: DsmFuseOptions,
+    *,
     path: str,
     folder: str,
     progress: Progress,

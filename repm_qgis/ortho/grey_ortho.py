@@ -38,6 +38,7 @@ def make_grey_ortho(
     views: Sequence[View],
     dsm: FinishedSurface,
     options: DsmFuseOptions,
+    *,
     path: str,
     folder: str,
     progress: Progress,

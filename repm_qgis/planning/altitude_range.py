@@ -52,6 +52,7 @@ def sweep_altitudes(
     views: Sequence[View],
     crs: str,
     bounds: Bounds,
+    *,
     search: Altitudes,
     progress: Progress,
     parameters: SweepParameters = PLANNING.sweep,
@@ -322,7 +323,9 @@ class _Reduced:
         def to_geodetic(xy: FloatArray) -> FloatArray:
             return geodetic_from_projected(sweep.crs, xy)
 
-        window = pixel_window(view.project, to_geodetic, patch, altitudes, view.size, smallest=8 * reduction)
+        window = pixel_window(
+            view.project, to_geodetic, patch, altitudes=altitudes, size=view.size, smallest=8 * reduction
+        )
         if window is None:
             return None
         size = max(1, window[2] // reduction), max(1, window[3] // reduction)
@@ -394,6 +397,7 @@ def altitude_range(
     views: Sequence[View],
     crs: str,
     bounds: Bounds,
+    *,
     search: Altitudes,
     given: Tuple[Optional[float], Optional[float]],
     dem: Optional[str],
@@ -415,7 +419,9 @@ def altitude_range(
             progress.warn(f"{unknown}: its heights are taken as metres above the WGS 84 ellipsoid.")
         found, source = altitudes.around_dem(low, high), "DEM"
     else:
-        swept = sweep_altitudes(views, crs, bounds, search, progress, parameters, altitudes)
+        swept = sweep_altitudes(
+            views, crs, bounds, search=search, progress=progress, parameters=parameters, altitudes=altitudes
+        )
         if swept is None:
             for view in views:  # an image that shows nothing is an error of its own
                 view.stretch()

@@ -30,6 +30,7 @@ def with_planes(
     views: Sequence[View],
     crs: str,
     bounds: Bounds,
+    *,
     search: Altitudes,
     dem: Optional[str],
     progress: Progress,
@@ -61,7 +62,9 @@ def with_planes(
         return tuple(_at(view, height, "the other images") if _is_assumed(view) else view for view in views), search
     wide = search[0] - parameters.reach_m, search[1] + parameters.reach_m
     if dem:
-        found = _from_dem(views, crs, bounds, wide, dem, progress, sweep, parameters)
+        found = _from_dem(
+            views, crs, bounds, search=wide, dem=dem, progress=progress, sweep=sweep, parameters=parameters
+        )
         if found is not None:
             height += found[0]
             progress.info(
@@ -90,6 +93,7 @@ def _from_dem(
     views: Tuple[View, ...],
     crs: str,
     bounds: Bounds,
+    *,
     search: Altitudes,
     dem: str,
     progress: Progress,
@@ -110,7 +114,7 @@ def _from_dem(
     near = low - parameters.fine_reach_m, high + parameters.fine_reach_m
     for heights, how in ((search, sweep), (near, fine)):
         moved = [_at(view, view.plane.height + added, "") if view.plane is not None else view for view in views]
-        swept = sweep_altitudes(moved, crs, bounds, heights, progress, how)
+        swept = sweep_altitudes(moved, crs, bounds, search=heights, progress=progress, parameters=how)
         if swept is None:
             return None
         lon, lat, altitude = swept.points.T

@@ -60,6 +60,7 @@ def point_views(
     scene: Scene,
     pairs: Sequence[ViewPair],
     stretches: Dict[str, Stretch],
+    *,
     model: str,
     gcps: Sequence[Gcp],
     progress: Progress,
@@ -78,11 +79,27 @@ def point_views(
     names = [pair.names for pair in pairs]
 
     def find(detector: Detector) -> List[PairMatches]:
-        return find_ties(scene, names, stretches, Part(progress, 0.0, 0.7), workers, detector, parameters.ties)
+        return find_ties(
+            scene,
+            names,
+            stretches,
+            progress=Part(progress, 0.0, 0.7),
+            workers=workers,
+            detector=detector,
+            parameters=parameters.ties,
+        )
 
     matches, detector = with_best_detector(find, progress, parameters.ties.keypoints)
     part = Part(progress, 0.7, 0.95)
-    tracks = align_ties(scene, tracks_from(matches), names, stretches, part, workers, parameters.ties.alignment)
+    tracks = align_ties(
+        scene,
+        tracks_from(matches),
+        names,
+        stretches=stretches,
+        progress=part,
+        workers=workers,
+        parameters=parameters.ties.alignment,
+    )
     tracks = with_base(scene.views, tracks, sum(scene.altitudes) / 2, parameters.track_base)
     if len(tracks) < parameters.least_tracks:
         raise EmptyResultError(
@@ -95,7 +112,16 @@ def point_views(
         adjusted = adjust(scene.views, tracks, sum(scene.altitudes) / 2, model, gcps, parameters)
     if adjusted.jitter or (model == "jitter" and can_jitter(scene.views)):
         more = parameters.with_many_ties()
-        matches, tracks = _more_ties(scene, adjusted, names, stretches, detector, progress, workers, more)
+        matches, tracks = _more_ties(
+            scene,
+            adjusted,
+            names,
+            stretches=stretches,
+            detector=detector,
+            progress=progress,
+            workers=workers,
+            parameters=more,
+        )
         adjusted = adjust(scene.views, tracks, sum(scene.altitudes) / 2, model, gcps, parameters)
     controlled = any(gcp.role == "control" and gcp.pixels for gcp in gcps)
     require_own_rpcs(scene.views, tracks, sum(scene.altitudes) / 2, progress.warn, parameters, info=progress.info)
@@ -133,6 +159,7 @@ def _more_ties(
     scene: Scene,
     adjusted: Adjustment,
     names: Sequence[Tuple[str, str]],
+    *,
     stretches: Dict[str, Stretch],
     detector: Detector,
     progress: Progress,
@@ -142,9 +169,19 @@ def _more_ties(
     """Ties of all lines, found where a first adjustment with jitter expects them: waves need many, and everywhere."""
     pointed = replace(scene, views=tuple(adjusted.applied(scene.views)))
     part = Part(progress, 0.95, 0.98)
-    matches = find_ties(pointed, names, stretches, part, workers, detector, parameters.ties)
+    matches = find_ties(
+        pointed, names, stretches, progress=part, workers=workers, detector=detector, parameters=parameters.ties
+    )
     part = Part(progress, 0.98, 1.0)
-    aligned = align_ties(pointed, tracks_from(matches), names, stretches, part, workers, parameters.ties.alignment)
+    aligned = align_ties(
+        pointed,
+        tracks_from(matches),
+        names,
+        stretches=stretches,
+        progress=part,
+        workers=workers,
+        parameters=parameters.ties.alignment,
+    )
     return matches, with_base(scene.views, aligned, sum(scene.altitudes) / 2, parameters.track_base)
 
 

@@ -22,6 +22,7 @@ def dem_offset(
     scene: Scene,
     crs: str,
     grid: CellGrid,
+    *,
     height: Floats,
     prior: Prior,
     check: Callable[[], None] = lambda: None,

@@ -160,7 +160,7 @@ def read_lasers(path: str, crs: str, bounds: Bounds, check: Callable[[], None] =
     points = FoundPoints(path, Within(pyproj.CRS("EPSG:4326"), crs, bounds))
     seen = _Seen()
     for beam in having:
-        _add_beam(points, store, f"{beam}/", laser, path, seen, check)
+        _add_beam(points, store, f"{beam}/", laser=laser, path=path, seen=seen, check=check)
     return points.found(laser.width_m, laser.disc, HeightDatum("", ELLIPSOID), about=seen.sentence(laser))
 
 
@@ -185,7 +185,7 @@ class _Seen:
 
 
 def _add_beam(
-    points: FoundPoints, store: Any, beam: str, laser: Laser, path: str, seen: _Seen, check: Callable[[], None]
+    points: FoundPoints, store: Any, beam: str, *, laser: Laser, path: str, seen: _Seen, check: Callable[[], None]
 ) -> None:
     shape = store.shape(beam + laser.height)
     places = [store.shape(beam + name) for name in (laser.lon, laser.lat)]

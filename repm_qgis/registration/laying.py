@@ -147,6 +147,7 @@ def lay(
     surface: OwnSurface,
     found: FoundHeights,
     datum: HeightDatum | None,
+    *,
     prior: Prior,
     tilted: bool,
     check: Check,

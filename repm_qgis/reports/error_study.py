@@ -34,7 +34,9 @@ def _errors_by_model(
     fitted = fit_pinhole(grid)
     errors = {"uncorrected": fitted.error}
     for model in models:
-        errors[model] = refine_pinhole(model, fitted.camera, grid, window, scene.order, terrain).error
+        errors[model] = refine_pinhole(
+            model, fitted.camera, grid, window=window, order=scene.order, terrain=terrain
+        ).error
     return errors
 
 
@@ -55,7 +57,7 @@ def _errors_by_altitude(view: View, scene: Scene) -> Curves:
     window = (0.0, 0.0, float(view.width), float(view.height))
     grid = virtual_grid(view.model.localise, window, scene.altitudes, scene.frame, (13, 13, _LEVELS))
     fitted = fit_pinhole(grid)
-    refined = refine_pinhole("polynomial", fitted.camera, grid, window)
+    refined = refine_pinhole("polynomial", fitted.camera, grid, window=window)
     after = refined.to_original.original_from_refined(refined.camera.project(grid.enu))
     curves = {"uncorrected": fitted.camera.project(grid.enu) - grid.pixels, "polynomial": after - grid.pixels}
     levels = np.linspace(*scene.altitudes, _LEVELS)

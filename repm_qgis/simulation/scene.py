@@ -89,7 +89,15 @@ def make_views(spec: SceneSpec, parameters: JitterParameters = SIMULATION.jitter
     middle = (spec.lon, spec.lat, 0.5 * (low + high) if spec.kind == "mountains" else spec.base_m)
     size = (spec.size, spec.size)
     views = [
-        aim(spec.sensor, look, middle, size, spec.heading_deg, spec.seed + 101 * number, f"img_{number:02d}")
+        aim(
+            spec.sensor,
+            look,
+            middle,
+            size=size,
+            heading_deg=spec.heading_deg,
+            seed=spec.seed + 101 * number,
+            name=f"img_{number:02d}",
+        )
         for number, look in enumerate(spec.sensor.looks, start=1)
     ]
     if spec.jitter_px == 0:

@@ -219,7 +219,14 @@ def _camera_axes(sight: FloatArray) -> FloatArray:
 
 
 def aim(
-    sensor: Sensor, look: Look, target: Sequence[float], size: Tuple[int, int], heading_deg: float, seed: int, name: str
+    sensor: Sensor,
+    look: Look,
+    target: Sequence[float],
+    *,
+    size: Tuple[int, int],
+    heading_deg: float,
+    seed: int,
+    name: str,
 ) -> PushbroomView:
     """Point a camera so that the middle of its image sees ``target``: longitude, latitude (degrees), height (m).
 

@@ -74,6 +74,7 @@ def gathered_points(
     scene: Scene,
     dsm: FinishedSurface,
     layout: DsmLayout,
+    *,
     options: DsmFuseOptions,
     folder: str,
     progress: Progress,
@@ -126,8 +127,17 @@ def gather(task: CloudTask) -> TilePoints:
     with writing(task.path), open(task.path, "wb") as stream:
         for record in records:
             heights = height_source(task.scene, task.bounds, record, task.dsm.layout.crs, task.matching).within()
-            numbers = task.normals, task.parameters, task.isolated
-            np.save(stream, cloud_points(heights, record.metres_per_px, part, surface, here, *numbers))
+            points = cloud_points(
+                heights,
+                record.metres_per_px,
+                part,
+                surface=surface,
+                own=here,
+                with_normals=task.normals,
+                parameters=task.parameters,
+                isolated=task.isolated,
+            )
+            np.save(stream, points)
     return TilePoints(task.path, len(records))
 
 

@@ -24,6 +24,7 @@ def cloud_points(
     heights: HeightMap,
     metres_per_px: float,
     grid: CellGrid,
+    *,
     surface: Floats,
     own: Mask,
     with_normals: bool = False,

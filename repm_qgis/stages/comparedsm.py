@@ -75,7 +75,17 @@ def _compared(options: CompareDsmOptions, path: str, progress: Progress) -> Comp
         target = options.error if path == options.dsm else None
         error = stack.enter_context(_error_raster(target, reference)) if target else None
         clouds = path if is_cloud(path) else "", options.reference if is_cloud(options.reference) else ""
-        found = compare(dsm, reference, options.align, options.thresholds, progress, error, classes, lines, clouds)
+        found = compare(
+            dsm,
+            reference,
+            options.align,
+            thresholds=options.thresholds,
+            progress=progress,
+            error=error,
+            classes=classes,
+            lines=lines,
+            clouds=clouds,
+        )
         if error is not None:
             error.flush()
         return found

@@ -193,9 +193,27 @@ def _orthophoto(
     wanted, folder = fusion.options.ortho, str(fusion.folder)
     path, numbers = wanted or f"{folder}/colours.tif", fusion.parameters.ortho
     if plan:
-        make_colour_ortho(plan, dsm, fusion.options, path, folder, progress, numbers, require_same)
+        make_colour_ortho(
+            plan,
+            dsm,
+            fusion.options,
+            path=path,
+            folder=folder,
+            progress=progress,
+            parameters=numbers,
+            require_same=require_same,
+        )
     else:
-        make_grey_ortho(nadir_first(fusion.scene), dsm, fusion.options, path, folder, progress, numbers, require_same)
+        make_grey_ortho(
+            nadir_first(fusion.scene),
+            dsm,
+            fusion.options,
+            path=path,
+            folder=folder,
+            progress=progress,
+            parameters=numbers,
+            require_same=require_same,
+        )
     if wanted:
         write_style(product("dsmfuse", "ortho").style, wanted, taken=fusion.scene.taken())
     return path
@@ -214,9 +232,17 @@ def _clouds(
     if not clouds:
         return facts
     options, numbers = fusion.options, fusion.parameters
-    cloud, isolated, matching = numbers.solids.cloud, numbers.fusion.isolated, numbers.matching
-    where = fusion.layout, options, str(fusion.folder), progress
-    tiles = gathered_points(fusion.scene, dsm, *where, cloud, isolated, matching)
+    tiles = gathered_points(
+        fusion.scene,
+        dsm,
+        fusion.layout,
+        options=options,
+        folder=str(fusion.folder),
+        progress=progress,
+        parameters=numbers.solids.cloud,
+        isolated=numbers.fusion.isolated,
+        matching=numbers.matching,
+    )
     points = 0
     for path in clouds:
         normals = options.cloud_normals and path == options.cloud

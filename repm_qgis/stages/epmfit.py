@@ -97,7 +97,9 @@ def _without_collars(views: Sequence[View], folder: Path, progress: Progress) ->
     for view in views:
         progress.step(0.0, f"black ends of {view.name}")
         target = str(folder / f"{view.name}.tif")
-        share = write_collar_mask(view.image, view.band, view.mask, target, progress.check_cancelled, part=view.part)
+        share = write_collar_mask(
+            view.image, view.band, view.mask, target=target, check=progress.check_cancelled, part=view.part
+        )
         if share:
             looked_at = f"the part of '{view.name}' around EXTENT" if view.part else f"'{view.name}'"
             progress.info(
@@ -118,11 +120,11 @@ def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, prog
         views,
         crs,
         Bounds(*bounds_of(area)),
-        search,
-        options.dem,
-        Part(progress, 0.0, 0.3),
-        parameters.pointing.planning.sweep,
-        parameters.pointing.planning.planes,
+        search=search,
+        dem=options.dem,
+        progress=Part(progress, 0.0, 0.3),
+        sweep=parameters.pointing.planning.sweep,
+        parameters=parameters.pointing.planning.planes,
     )
     ends, part, sweep = (
         (options.altitude_min, options.altitude_max),
@@ -136,7 +138,15 @@ def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, prog
             require_content(view.image, view.part)
     views = _without_collars(views, masks, progress)
     altitudes, source = altitude_range(
-        views, crs, bounds_of(area), search, ends, options.dem, part, sweep, parameters.altitudes
+        views,
+        crs,
+        bounds_of(area),
+        search=search,
+        given=ends,
+        dem=options.dem,
+        progress=part,
+        parameters=sweep,
+        altitudes=parameters.altitudes,
     )
     progress.info(f"Altitudes {altitudes[0]:.0f} to {altitudes[1]:.0f} m above the ellipsoid (from: {source}).")
     area = _area(views, crs, altitudes, options, parameters.tiles)
@@ -177,7 +187,9 @@ def _parted(views: Sequence[View], crs: str, area: ogr.Geometry, altitudes: Alti
     around = Bounds(*bounds_of(area)).grown(STEREO.tile_margin_px * min(view.gsd_m for view in views))
 
     def part(view: View) -> Optional[Window]:
-        window = pixel_window(view.project, partial(geodetic_from_projected, crs), around, altitudes, view.size)
+        window = pixel_window(
+            view.project, partial(geodetic_from_projected, crs), around, altitudes=altitudes, size=view.size
+        )
         return None if window == (0, 0, *view.size) else window
 
     return tuple(replace(view, part=part(view)) for view in views)
@@ -264,7 +276,7 @@ def _automatic_size(
         half = size * scene.gsd_m / 2
         fitted = (fit_tile(scene, GroundTile("", Bounds(x - half, y - half, x + half, y + half))) for x, y in places)
         errors = [
-            refine_pinhole("polynomial", view.camera, grid, view.window).error.rmse
+            refine_pinhole("polynomial", view.camera, grid, window=view.window).error.rmse
             for tile, grids in fitted
             for view, grid in zip(tile.views.values(), grids)
         ]
@@ -284,7 +296,7 @@ def fit_tile(scene: Scene, ground: GroundTile) -> Tuple[Tile, List[Any]]:
     """Cameras of all views that see a tile, with the virtual grids they were fitted to."""
     views, grids, to_geodetic = {}, [], partial(geodetic_from_projected, scene.crs)
     for view in scene.views:
-        window = pixel_window(view.project, to_geodetic, ground.bounds, scene.altitudes, view.size)
+        window = pixel_window(view.project, to_geodetic, ground.bounds, altitudes=scene.altitudes, size=view.size)
         if window is None:
             continue
         grid = virtual_grid(view.localise, window, scene.altitudes, scene.frame, VIRTUAL_GRID.tile)

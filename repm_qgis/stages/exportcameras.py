@@ -47,7 +47,16 @@ def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, Any]:
     for model, place in zip(models, places):
         points, residuals = tie_points(scene, model.tile)
         whole = replace(model, points=points, residuals_px=residuals)
-        _write_model(scene, whole, written_as, place, options, stretches, progress, (done, count))
+        _write_model(
+            scene,
+            whole,
+            written_as,
+            place=place,
+            options=options,
+            stretches=stretches,
+            progress=progress,
+            done=(done, count),
+        )
         done += len(model.views)
     error = max(view.error.max for model in models for view in model.views)
     rmse = float(np.sqrt(np.mean([view.error.rmse**2 for model in models for view in model.views])))
@@ -97,6 +106,7 @@ def _write_model(
     scene: Scene,
     model: TileModel,
     written_as: ExportFormat,
+    *,
     place: Path,
     options: ExportCamerasOptions,
     stretches: Dict[str, Stretch],

@@ -111,7 +111,9 @@ def _walls(fusion: Fusion, progress: Progress) -> bool:
 def _joined(task: Tuple[Fusion, List[StoredTile], bool], progress: Progress) -> JoinedTiles:
     fusion, stored, walls = task
     folder, numbers = str(fusion.folder), fusion.parameters.fusion
-    return join_tiles(fusion.options, fusion.scene, fusion.layout, stored, folder, walls, numbers)
+    return join_tiles(
+        fusion.options, fusion.scene, fusion.layout, stored=stored, folder=folder, walls=walls, parameters=numbers
+    )
 
 
 def _chosen(fusion: Fusion, joined: JoinedTiles, walls: bool, progress: Progress) -> Tuple[List[Block], int]:
@@ -177,7 +179,18 @@ def _written(task: Tuple[Fusion, JoinedTiles, List[Block], Optional[Water]], pro
     options, folder, layout, numbers = fusion.options, str(fusion.folder), fusion.layout, fusion.parameters
     means = CoarseMeans(layout.grid, numbers.registration.dem_cells) if fusion.scene.dem else None
     stated = stated_height_deviation(fusion.scene)
-    facts = write_products(options, fusion.scene, layout, joined, blocks, folder, numbers.fusion, means, stated, water)
+    facts = write_products(
+        options,
+        fusion.scene,
+        layout,
+        joined=joined,
+        blocks=blocks,
+        folder=folder,
+        parameters=numbers.fusion,
+        means=means,
+        deviation_m=stated,
+        water=water,
+    )
     if means is not None:
         facts = replace(facts, dem_offset=_dem_offset(fusion, means, progress))
     for name in ("output", "confidence", "water_mask"):
@@ -190,10 +203,13 @@ def _written(task: Tuple[Fusion, JoinedTiles, List[Block], Optional[Water]], pro
 def _dem_offset(fusion: Fusion, means: CoarseMeans, progress: Progress) -> Optional[DemOffset]:
     """How far the DSM lies above the DEM; None, with the reason in the log, where that cannot be told."""
     scene, numbers = fusion.scene, fusion.parameters.registration
-    surface = fusion.layout.crs, means.grid, means.means(numbers.covered)
+    height = means.means(numbers.covered)
     prior = prior_of(scene, fusion.parameters.pointing.planning, numbers)
     try:
-        return dem_offset(scene, *surface, prior, progress.check_cancelled, numbers)
+        check = progress.check_cancelled
+        return dem_offset(
+            scene, fusion.layout.crs, means.grid, height=height, prior=prior, check=check, parameters=numbers
+        )
     except RepmError as error:
         progress.info(f"The DSM was not compared with the DEM '{scene.dem}': {error}")
         return None

@@ -96,12 +96,20 @@ def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: En
     if not valid:
         raise EmptyResultError(f"None of the {rows * columns} cells of the mosaic has a height: check the DSMs.")
     rasters, writing = rasters_of(options, layout), Part(progress_of, 0.9, 0.98)
-    write_mosaic(rasters, layout.grid, blocks, folder, options.workers, parameters.mosaic, writing)
+    write_mosaic(
+        rasters,
+        layout.grid,
+        blocks,
+        folder=folder,
+        workers=options.workers,
+        parameters=parameters.mosaic,
+        progress=writing,
+    )
     seam = _median(blocks)
     if seam is not None:
         progress.info(f"Along the seams, two DSMs differ by {seam:.3f} m (median) before their heights are feathered.")
     if options.report:
-        page = mosaic_page(options, layout, overlaps, offsets, cells, seam, whole.warnings)
+        page = mosaic_page(options, layout, overlaps, offsets=offsets, cells=cells, seam=seam, warnings=whole.warnings)
         page.of(mosaic_name(options.output, (*options.dsms, *options.scenes))).write(options.report)
     progress.step(1.0, "Mosaic made")
     return {

@@ -156,9 +156,19 @@ def _pointed(
         remedy = "fill the fields view, col and row of points with the role control"
         effect = f"the absolute position is that of the vendors' RPCs; {remedy}"
         progress.warn(f"No control point of '{options.gcps}' was measured in an image: {effect}.")
-    mode, numbers = (options.workers, options.adjustment), (parameters.pointing, parameters.altitudes)
     tied = [pair for pair in scene.pairs if pair.tied]
-    found = point_views(scene, tied, stretches, options.pointing, gcps, progress, *mode, *numbers)
+    found = point_views(
+        scene,
+        tied,
+        stretches,
+        model=options.pointing,
+        gcps=gcps,
+        progress=progress,
+        workers=options.workers,
+        route=options.adjustment,
+        parameters=parameters.pointing,
+        altitudes=parameters.altitudes,
+    )
     scene = replace(scene, views=tuple(found.views), pointing=found.figures)
     _write_ties(scene, found.tracks, found.adjusted, found.xy)
     for text in advice(scene, scene.pairs, found.figures, parameters.pointing.planning):
@@ -189,7 +199,9 @@ def _with_coarse_surface(
         return scene
     names = [pair.names for pair in scene.pairs]
     match = pair_matcher(backend)
-    surface = coarse_surface(scene, names, stretches, match, options.workers, progress, parameters.matching)
+    surface = coarse_surface(
+        scene, names, stretches, match=match, workers=options.workers, progress=progress, parameters=parameters.matching
+    )
     scene = _narrowed(scene, surface.altitudes, parameters.altitudes)
     if not options.own_surface:
         return scene

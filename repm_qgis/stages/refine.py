@@ -112,8 +112,10 @@ def _refined(task: RefineTask) -> List[Tile]:
         for name, seen in tile.views.items():
             model = scene.view(name).model
             grid = virtual_grid(model.localise, seen.window, tile.altitudes, scene.frame, VIRTUAL_GRID.tile)
-            how = scene.order, scene.terrain(model)
-            refined = refine_pinhole(scene.refinement, seen.camera, grid, seen.window, *how)
+            terrain, order = scene.terrain(model), scene.order
+            refined = refine_pinhole(
+                scene.refinement, seen.camera, grid, window=seen.window, order=order, terrain=terrain
+            )
             image = _write_image(scene, tile.id, name, refined, task.kernel) if task.kernel else seen.image
             views[name] = replace(seen, refined=refined, image=image)
         tiles.append(replace(tile, views=views))
@@ -126,7 +128,7 @@ def _source(scene: Scene, options: RefineOptions, parameters: EngineParameters, 
         return options.dem
     if any(tile.heights for tile in scene.tiles):
         cell, path = parameters.tiles.surface_px * scene.gsd_m, str(scene.folder("surface") / "own_heights.tif")
-        grid, heights = own_surface(scene, cell, 1, 0, progress, parameters=parameters.fusion)
+        grid, heights = own_surface(scene, cell, 1, memory=0, progress=progress, parameters=parameters.fusion)
         wkt = pyproj.CRS.from_user_input(scene.crs).to_wkt()
         return write(path, [heights], grid.geotransform, wkt, unit="m")
     remedy = "a scene that has heights already ('Reconstruct heights' with another MODEL first)"

@@ -196,17 +196,26 @@ def _work(
             if len(options.others) + len(options.reference) < 2:
                 raise
             progress.info(f"'{path}' does not cover the scene '{scene.path}'.")
-    how = options.workers, options.memory, Part(progress, 0.05, 0.8)
     coarse = are_coarse(found, native, numbers) and not options.others
     finest = finest_cell(bounds, 2.0 * native, numbers) if coarse else finest
-    grid, height = own_surface(scene, finest, *how, coarse, parameters.fusion)
+    grid, height = own_surface(
+        scene,
+        finest,
+        options.workers,
+        memory=options.memory,
+        progress=Part(progress, 0.05, 0.8),
+        coarse=coarse,
+        parameters=parameters.fusion,
+    )
     if options.stable:
         height[~stable_cells(options.stable, grid, scene.crs)] = np.nan
     surface = OwnSurface(scene.crs, grid, height).averaged(factor_for(found, finest, numbers), numbers.covered)
     laid = []
     for number, each in enumerate(found):
         progress.step(0.8 + 0.2 * number / len(found), f"laying the surface on {os.path.basename(each.name)}")
-        laid.append(lay(surface, each, datum, prior, options.model == "tilt", check, numbers))
+        laid.append(
+            lay(surface, each, datum, prior=prior, tilted=options.model == "tilt", check=check, parameters=numbers)
+        )
         _log(laid[-1], progress)
     return _Work(scene, surface, prior, tuple(laid))
 
@@ -290,8 +299,14 @@ def _moved(
     asked = made is not None and made.options.get("pointing") == "jitter"
     if not (asked or any(view.jitter is not None for view in done.views)):
         return done  # where ties show none, errors of a reference would be taken for waves
-    references, how = [laid.reference for laid in work.laid], (options.workers, options.memory)
-    return with_reference_waves(done, references, *how, Part(progress, 0.95, 1.0), parameters.registration.waves)
+    return with_reference_waves(
+        done,
+        [laid.reference for laid in work.laid],
+        options.workers,
+        memory=options.memory,
+        progress=Part(progress, 0.95, 1.0),
+        parameters=parameters.registration.waves,
+    )
 
 
 def _say(figures: RegistrationFigures, progress: Progress) -> None:

@@ -62,13 +62,15 @@ def rectify_over(
 
 def refined_view(scene: Scene, view: View, bounds: Bounds, altitudes: Altitudes) -> Optional[RefinedPinhole]:
     """The refined camera of a view over a ground rectangle, by the scene's refinement model; None where unseen."""
-    window = pixel_window(view.project, lambda xy: geodetic_from_projected(scene.crs, xy), bounds, altitudes, view.size)
+    window = pixel_window(
+        view.project, lambda xy: geodetic_from_projected(scene.crs, xy), bounds, altitudes=altitudes, size=view.size
+    )
     if window is None:
         return None
     steady = view.steady
     grid = virtual_grid(steady.localise, window, altitudes, scene.frame, VIRTUAL_GRID.tile)
     model, camera = scene.refinement or "polynomial", fit_pinhole(grid).camera
-    refined = refine_pinhole(model, camera, grid, window, scene.order, scene.terrain(steady))
+    refined = refine_pinhole(model, camera, grid, window=window, order=scene.order, terrain=scene.terrain(steady))
     return refined.shaken(view.jitter)
 
 

@@ -61,14 +61,14 @@ def objects_on(
         threshold = parameters.least_m + parameters.rise * (half - before) * cell
         above = sunk > threshold
         if half * cell > parameters.walled_m and above.any():
-            above &= _walled(above, sunk, defined & reached, half, cell, slope, parameters)
+            above &= _walled(above, sunk, defined & reached, half=half, cell=cell, slope=slope, parameters=parameters)
         found |= above
         upper, defined, before, done = opened, reached, half, half
     return np.asarray((found & known) | pits)
 
 
 def _walled(
-    above: Mask, sunk: FloatImage, known: Mask, half: int, cell: float, slope: float, parameters: ObjectParameters
+    above: Mask, sunk: FloatImage, known: Mask, *, half: int, cell: float, slope: float, parameters: ObjectParameters
 ) -> Mask:
     """Where enough of the outlines nearby are walls."""
     side = _cells(parameters.wall_m, cell)

@@ -53,6 +53,7 @@ def align_ties(
     scene: Scene,
     tracks: Sequence[Track],
     pairs: Sequence[Pair],
+    *,
     stretches: Dict[str, Stretch],
     progress: Progress,
     workers: int = 0,

@@ -84,6 +84,7 @@ def find_ties(
     scene: Scene,
     pairs: Sequence[Pair],
     stretches: Dict[str, Stretch],
+    *,
     progress: Progress,
     workers: int = 0,
     detector: Detector = CPU_DETECTOR,

@@ -97,7 +97,7 @@ def test_the_best_correlation_is_at_the_true_depth(request, kind, half, calm_m, 
     workspace = Workspace(str(tmp_path))
     heights = true_heights(scene, tile, tile.views[0], truth)
     depth = depths_of(scene, tile, tile.views[0], heights)
-    table = depth_geometry(scene, tile, tile.views[0], [tile.views[2]], scene.crs)
+    table = depth_geometry(scene, tile, tile.views[0], sources=[tile.views[2]], crs=scene.crs)
     rows, columns = (np.arange(n, dtype=np.float64) for n in heights.shape)
     calm = calm_at(truth, *(axis.on_grid(columns, rows, heights) for axis in (table.x, table.y)), calm_m)
     low, high = tile.depths(scene)
@@ -175,7 +175,7 @@ def test_a_small_gpu_gets_the_tile_in_parts(urban, matched, tmp_path):
 
     def raster(record):
         heights = height_source(task.scene, task.bounds, record, task.scene.crs).within()
-        return grid_points(grid, heights.x, heights.y, heights.height, heights.score)[0]
+        return grid_points(grid, heights.x, heights.y, height=heights.height, score=heights.score)[0]
 
     first = urban.views[0].name
     parts = [raster(record) for record in records if record.pair[0] == first]

@@ -45,7 +45,7 @@ def test_a_float32_depth_gives_its_height_back_through_t(case, tile):
 def test_the_depth_that_fits_the_images_gives_the_ground_s_height(case, tile, gdal_pixels):
     """Pixels by GDAL, the depth by a search of its own over the reprojection error, then our tables."""
     first, second = tile.views
-    table = depth_geometry(case.scene, tile, first, [second], case.crs)
+    table = depth_geometry(case.scene, tile, first, sources=[second], crs=case.crs)
     points = case.points(60, 3)
     ground = np.column_stack([geodetic_from_projected(case.crs, points[:, :2]), points[:, 2]])
     a = first.from_original(gdal_pixels(case.views[0].rpc, ground))
@@ -69,7 +69,7 @@ def test_the_depth_that_fits_the_images_gives_the_ground_s_height(case, tile, gd
 
 def test_a_px_of_the_source_is_so_much_height(case, tile):
     first, second = tile.views
-    table = depth_geometry(case.scene, tile, first, [second], case.crs)
+    table = depth_geometry(case.scene, tile, first, sources=[second], crs=case.crs)
     x, y = (case.bounds[0] + case.bounds[2]) / 2, (case.bounds[1] + case.bounds[3]) / 2
     lon_lat = geodetic_from_projected(case.crs, np.array([x, y]))
     start = np.append(lon_lat, sum(case.altitudes) / 2)
@@ -82,8 +82,8 @@ def test_several_sources_share_one_depth(urban):
     from tests.engine.colmap.truth_depths import true_frame
 
     scene, tile = true_frame(urban, 50.0)
-    one = depth_geometry(scene, tile, tile.views[0], [tile.views[1]], scene.crs)
-    all_ = depth_geometry(scene, tile, tile.views[0], tile.views[1:], scene.crs)
+    one = depth_geometry(scene, tile, tile.views[0], sources=[tile.views[1]], crs=scene.crs)
+    all_ = depth_geometry(scene, tile, tile.views[0], sources=tile.views[1:], crs=scene.crs)
     inverse = np.full(tile.views[0].size[::-1], 0.75)
     rows, columns = (np.arange(n, dtype=np.float64) for n in inverse.shape)
     assert np.abs(one.height.on_grid(columns, rows, inverse) - all_.height.on_grid(columns, rows, inverse)).max() < 0.01
@@ -102,4 +102,4 @@ def test_a_reference_that_sees_nothing_says_so(case, tile):
     blind = FrameView(Blind(), first.refined, first.camera, first.from_refined, first.size)
     with pytest.raises(EmptyResultError, match="blind sees no ground"):
         around = TileFrame(tile.frame, (blind, second), tile.bounds, tile.wide, tile.altitudes)
-        depth_geometry(case.scene, around, blind, [second], case.crs)
+        depth_geometry(case.scene, around, blind, sources=[second], crs=case.crs)

@@ -332,7 +332,7 @@ def test_blocks_do_not_show(make_raster, terrain):
     b = make_raster("ref.tif", terrain(150, 170))
     small = replace(EVALUATION, comparison=replace(EVALUATION.comparison, block_cells=64))
     whole, parts = (
-        compare_rasters(gdal.Open(a), gdal.Open(b), "none", (1.0,), Silent(), parameters=parameters)
+        compare_rasters(gdal.Open(a), gdal.Open(b), "none", thresholds=(1.0,), progress=Silent(), parameters=parameters)
         for parameters in (EVALUATION, small)
     )
     one, many = whole.thumbnails["error"], parts.thumbnails["error"]
@@ -426,7 +426,7 @@ def test_profiles_follow_lines_of_another_crs(make_raster, terrain, surface, tmp
     b = gdal.Open(make_raster("ref.tif", terrain(200, 240)))
     lines = read_lines(path, Grid.of(b))
     assert [line.name for line in lines] == ["ridge"]
-    (profile,) = compare_rasters(a, b, "none", (1.0,), Silent(), lines=lines).profiles
+    (profile,) = compare_rasters(a, b, "none", thresholds=(1.0,), progress=Silent(), lines=lines).profiles
     lengths = np.hypot(*np.diff(corners, axis=0).T)
     assert profile.distance[0] < 0.5 and profile.distance[-1] == pytest.approx(lengths.sum(), abs=0.5)
     part = profile.distance < lengths[0]

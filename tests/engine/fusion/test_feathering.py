@@ -35,7 +35,9 @@ def stored(folder, offsets, spoil=None):
         own.append(whole[row : row + height, col : col + width])
     result = np.full(SHAPE, np.nan)
     for index, (col, row, width, height) in enumerate(WINDOWS):
-        result[row : row + height, col : col + width] = feathered(own[index], index, WINDOWS, tiles, SHAPE[::-1], 1.0)
+        result[row : row + height, col : col + width] = feathered(
+            own[index], index, WINDOWS, stored=tiles, size=SHAPE[::-1], tolerance=1.0
+        )
     return result
 
 

@@ -89,13 +89,13 @@ def reference_of(scene):
 
 def test_waves_of_a_reference_are_found_and_taken_out(steady, shaken, told):
     reference, said = reference_of(shaken), told()
-    found = with_reference_waves(steady, [reference], 1, 0, said)
+    found = with_reference_waves(steady, [reference], 1, memory=0, progress=said)
     assert found.registration.waves_m[1] < 0.6 * found.registration.waves_m[0]
     assert any("shows jitter along the parallax" in text for text in said.notes)
     before, after, wanted = (reference_of(scene) for scene in (steady, found, shaken))
     far = [_difference(each, wanted) for each in (before, after)]
     assert far[1] < 0.6 * far[0]
-    assert with_reference_waves(steady, [reference_of(steady)], 1, 0, told()) is steady
+    assert with_reference_waves(steady, [reference_of(steady)], 1, memory=0, progress=told()) is steady
     assert found.as_matched.views[0].jitter is None
     again = Scene.load(found.save(str(found.path.with_name("waves.json"))))
     assert again.registration.waves_m == found.registration.waves_m

@@ -46,13 +46,13 @@ def measured(rpc, window, altitudes):
 def test_full_scenes_are_as_designed(shared_data, site):
     rpc, window = full_scene(shared_data, site)
     grid, fitted = measured(rpc, window, rpc.height_range)
-    refined = refine_pinhole("polynomial", fitted.camera, grid, window)
+    refined = refine_pinhole("polynomial", fitted.camera, grid, window=window)
     for error, (rmse, largest) in zip((fitted.error, refined.error), TABLE[site]):
         assert error.rmse == pytest.approx(rmse, rel=0.006)
         assert error.max == pytest.approx(largest, rel=0.006)
-    homography = refine_pinhole("homography", fitted.camera, grid, window)
+    homography = refine_pinhole("homography", fitted.camera, grid, window=window)
     assert homography.error.rmse == pytest.approx(fitted.error.rmse, rel=1e-3)
-    none = refine_pinhole("none", fitted.camera, grid, window)
+    none = refine_pinhole("none", fitted.camera, grid, window=window)
     assert none.error.rmse == pytest.approx(fitted.error.rmse, rel=1e-6)
 
 
@@ -92,7 +92,7 @@ def test_the_error_grows_with_the_window_and_the_refined_image_holds_it(shared_d
     for side in (1000, 2500, 5120):
         window = (19000 - side // 2, 18000 - side // 2, side, side)
         grid, fitted = measured(rpc, window, rpc.height_range)
-        refined = refine_pinhole("polynomial", fitted.camera, grid, window)
+        refined = refine_pinhole("polynomial", fitted.camera, grid, window=window)
         corners = np.array(
             [
                 [window[0], window[1]],
@@ -113,7 +113,7 @@ def test_the_refined_camera_sees_what_m_says(shared_data):
     rpc, window = full_scene(shared_data, "toulouse")
     grid, fitted = measured(rpc, window, rpc.height_range)
     for model in ("none", "homography", "polynomial"):
-        refined = refine_pinhole(model, fitted.camera, grid, window)
+        refined = refine_pinhole(model, fitted.camera, grid, window=window)
         difference = refined.to_original.original_from_refined(refined.camera.project(grid.enu)) - grid.pixels
         assert np.sqrt((difference**2).sum(axis=1).mean()) == pytest.approx(refined.error.rmse, rel=1e-6)
         assert np.sqrt((difference**2).sum(axis=1).max()) == pytest.approx(refined.error.max, rel=1e-6)

@@ -25,7 +25,7 @@ GRID = CellGrid(0.0, 40.0, 1.0, (40, 40))
 
 
 def residual(x, y, function=plane, grid=GRID):
-    heights, _, _ = grid_points(grid, x, y, function(x, y), np.ones_like(x))
+    heights, _, _ = grid_points(grid, x, y, height=function(x, y), score=np.ones_like(x))
     cx, cy = grid.centres()
     return heights - function(*np.meshgrid(cx, cy))
 
@@ -64,14 +64,14 @@ def test_random_points_do_not_shift_the_surface():
 def test_gaps_stay_gaps():
     x, y = lattice(0.5, 0.25)
     keep = ~((x > 10) & (x < 20) & (y > 10) & (y < 20))
-    heights, scores, _ = grid_points(GRID, x[keep], y[keep], plane(x, y)[keep], np.full(keep.sum(), 0.5))
+    heights, scores, _ = grid_points(GRID, x[keep], y[keep], height=plane(x, y)[keep], score=np.full(keep.sum(), 0.5))
     assert np.isnan(heights[21:29, 11:19]).all() and np.isfinite(heights[:19]).all()
     np.testing.assert_allclose(scores[np.isfinite(heights)], 0.5)
     assert (np.isfinite(heights) == np.isfinite(scores)).all()
     x = np.append(x, 5.0)
     y = np.append(y, 5.0)
     height = np.append(plane(x[:-1], y[:-1]), np.nan)
-    assert np.isfinite(grid_points(GRID, x, y, height, np.ones(len(x)))[0]).all()
+    assert np.isfinite(grid_points(GRID, x, y, height=height, score=np.ones(len(x)))[0]).all()
 
 
 def edge_points(walls):
@@ -86,7 +86,7 @@ def edge_points(walls):
 @pytest.mark.parametrize("walls", (0, 100, 400))
 def test_no_cell_lies_between_roof_and_ground(walls):
     x, y, height = edge_points(walls)
-    found, _, _ = grid_points(GRID, x, y, height, np.ones(len(x)), 0.4)
+    found, _, _ = grid_points(GRID, x, y, height=height, score=np.ones(len(x)), spacing=0.4)
     np.testing.assert_allclose(found[:, :19], 20.0, atol=1e-9)
     np.testing.assert_allclose(found[:, 21:], 0.0, atol=1e-9)
     # The roof's edge at 20.3 m lies in the cell from 20 to 21: most of that is ground.
@@ -104,16 +104,18 @@ def test_footprints_place_an_edge_to_half_a_cell(spacing):
     for phase in np.arange(0, 1, 0.1):
         x, y = lattice(spacing, 0.03)
         edge = 20 + phase
-        found, _, _ = grid_points(GRID, x, y, np.where(x < edge, 30.0, 0.0), np.ones(len(x)), spacing)
+        found, _, _ = grid_points(
+            GRID, x, y, height=np.where(x < edge, 30.0, 0.0), score=np.ones(len(x)), spacing=spacing
+        )
         shifts.append((found[20] > 15).sum() - edge)
     assert abs(np.mean(shifts)) < 0.5 * spacing and np.abs(shifts).max() <= 0.5 + spacing
 
 
 def test_no_points_no_heights():
     nothing = np.empty(0)
-    assert np.isnan(grid_points(GRID, nothing, nothing, nothing, nothing)[0]).all()
+    assert np.isnan(grid_points(GRID, nothing, nothing, height=nothing, score=nothing)[0]).all()
     outside = np.array([500.0])
-    assert np.isnan(grid_points(GRID, outside, outside, outside, outside)[0]).all()
+    assert np.isnan(grid_points(GRID, outside, outside, height=outside, score=outside)[0]).all()
 
 
 @pytest.mark.parametrize("cell", (0.5, 0.3, 1.0, 2.5))
@@ -195,7 +197,7 @@ def test_every_cell_is_what_its_points_one_by_one_give(spacing, cell, relief):
     score = numbers.uniform(0.2, 1.0, count)
     height[::17], score[::13] = np.nan, np.nan
     expected = one_by_one(grid, x, y, height, score, spacing, GRIDDING)
-    found = grid_points(grid, x, y, height, score, spacing)
+    found = grid_points(grid, x, y, height=height, score=score, spacing=spacing)
     assert np.isfinite(expected[0]).mean() > 0.2
     for ours, naive in zip(found, expected):
         np.testing.assert_allclose(ours, naive, atol=1e-9)
@@ -205,7 +207,7 @@ def test_of_two_surfaces_that_cover_the_same_the_upper_one_is_taken():
     grid = CellGrid(0.0, 1.0, 1.0, (1, 1))
     middle = np.full(4, 0.5)
     heights, scores, weights = grid_points(
-        grid, middle, middle, np.array([10.0, 20.0, 10.2, 20.2]), np.array([0.1, 0.7, 0.1, 0.9])
+        grid, middle, middle, height=np.array([10.0, 20.0, 10.2, 20.2]), score=np.array([0.1, 0.7, 0.1, 0.9])
     )
     assert (heights.item(), scores.item(), weights.item()) == pytest.approx((20.1, 0.8, 4.0))
 
@@ -215,7 +217,7 @@ def test_points_within_a_step_are_one_surface_and_its_mean():
     grid = CellGrid(0.0, 1.0, 1.0, (1, 1))
     for apart, expected in ((3.0, 11.0), (3.01, 10.0)):
         height = np.array([10.0, 10.0, 10.0 + apart])
-        heights, _, _ = grid_points(grid, np.full(3, 0.5), np.full(3, 0.5), height, np.ones(3))
+        heights, _, _ = grid_points(grid, np.full(3, 0.5), np.full(3, 0.5), height=height, score=np.ones(3))
         assert heights.item() == pytest.approx(expected)
 
 
@@ -223,7 +225,8 @@ def test_points_within_a_step_are_one_surface_and_its_mean():
 def test_a_cell_that_is_hardly_covered_has_no_height(covered, known):
     """A point that represents a whole cell, beside the first cell's middle by one minus that share of a cell."""
     grid = CellGrid(0.0, 1.0, 1.0, (1, 2))
-    heights, scores, weights = grid_points(grid, *(np.array([v]) for v in (1.5 - covered, 0.5, 7.0, 0.5)))
+    x, y, height, score = (np.array([value]) for value in (1.5 - covered, 0.5, 7.0, 0.5))
+    heights, scores, weights = grid_points(grid, x, y, height=height, score=score)
     assert weights[0].tolist() == pytest.approx([covered, 1 - covered])
     assert np.isfinite(heights[0, 0]) == np.isfinite(scores[0, 0]) == known
     assert heights[0, 1] == pytest.approx(7.0, abs=1e-12)
@@ -244,7 +247,7 @@ def test_cells_that_are_finer_than_the_points_all_have_heights(cell, turned):
     x, y = 20 + np.cos(turned) * u - np.sin(turned) * v, 20 + np.sin(turned) * u + np.cos(turned) * v
     side = int(20 / cell)
     grid = CellGrid(10.0, 30.0, cell, (side, side + 3))
-    heights, scores, weights = grid_points(grid, x, y, plane(x, y), np.ones_like(x), 1.0)
+    heights, scores, weights = grid_points(grid, x, y, height=plane(x, y), score=np.ones_like(x), spacing=1.0)
     assert np.isfinite(heights).all() and np.isfinite(scores).all()
     away = heights - plane(*np.meshgrid(*grid.centres()))
     assert abs(away.mean()) < 0.002 and np.abs(away).max() < 0.25 * 0.36  # a quarter of a metre on that slope
@@ -257,7 +260,7 @@ def test_fine_cells_keep_gaps_and_edges():
     z = np.where(x < 20, 120.0, 100.0)
     z[(np.abs(x - 10) < 4) & (np.abs(y - 10) < 4)] = np.nan
     grid = CellGrid(0.0, 40.0, 0.25, (160, 160))
-    heights, _, _ = grid_points(grid, x, y, z, np.ones_like(x), 1.0)
+    heights, _, _ = grid_points(grid, x, y, height=z, score=np.ones_like(x), spacing=1.0)
     cx, cy = np.meshgrid(*grid.centres())
     hole = (np.abs(cx - 10) < 3) & (np.abs(cy - 10) < 3)
     assert np.isnan(heights[hole]).all() and np.isfinite(heights[(np.abs(cx - 10) > 5) | (np.abs(cy - 10) > 5)]).all()

@@ -51,7 +51,7 @@ def gridded(path, cell):
         ),
         cell,
     )
-    dsm = grid_points(grid, x[known], y[known], height[known], np.ones(known.sum()), GSD)[0]
+    dsm = grid_points(grid, x[known], y[known], height=height[known], score=np.ones(known.sum()), spacing=GSD)[0]
     xs, ys = grid.centres()
     offsets = (np.arange(5) - 2) / 5 * cell
     mean = np.mean([at(*np.meshgrid(xs + dx, ys + dy)) for dx in offsets for dy in offsets], axis=0)

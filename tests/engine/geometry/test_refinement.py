@@ -67,7 +67,7 @@ def test_round_trip_over_full_scenes(shared_data, site):
     grid = virtual_grid(rpc.localise, window, rpc.height_range, EnuFrame(rpc.lon_off, rpc.lat_off, 0.0))
     fitted = fit_pinhole(grid)
     for model in ("none", "homography", "polynomial"):
-        refined = refine_pinhole(model, fitted.camera, grid, window)
+        refined = refine_pinhole(model, fitted.camera, grid, window=window)
         again = refined.to_original.original_from_refined(refined.to_original.refined_from_original(grid.pixels))
         assert np.abs(again - grid.pixels).max() < 1e-3
 

@@ -92,7 +92,7 @@ def test_the_terrain_map_is_made_again_from_its_surroundings(slope):
     again = map_from_mapping(TerrainMap(camera, terrain).to_mapping(), camera, lambda: terrain)
     assert again.terrain is terrain and again.camera is camera
     with pytest.raises(OptionError, match="MODEL is 'terrain': it needs a surface"):
-        refine_pinhole("terrain", camera, None, WINDOW)
+        refine_pinhole("terrain", camera, None, window=WINDOW)
 
 
 def test_the_terrain_models_error_is_measured_near_the_surface(slope):
@@ -156,7 +156,7 @@ def test_the_map_through_great_relief_goes_there_and_back(great_relief):
 def test_the_refined_image_holds_the_window_and_no_more(slope):
     terrain, camera, grid = slope
     for model in ("none", "homography", "polynomial", "terrain"):
-        refined = refine_pinhole(model, camera, grid, WINDOW, terrain=terrain)
+        refined = refine_pinhole(model, camera, grid, window=WINDOW, terrain=terrain)
         assert refined.camera.K[0, 1] == 0.0
         edge = np.linspace(0, 1, 50)
         around = np.concatenate([[(t, 0.0), (t, 1.0), (0.0, t), (1.0, t)] for t in edge]) * [899, 699] + [20000, 18000]

@@ -53,7 +53,11 @@ def test_a_window_holds_every_point_of_its_tile(urban):
     points = np.random.default_rng(3).uniform((bounds[0], bounds[1], low), (bounds[2], bounds[3], high), (3000, 3))
     for view in urban.views:
         window = pixel_window(
-            view.project, lambda xy: geodetic_from_projected(urban.crs, xy), bounds, (low, high), view.size
+            view.project,
+            lambda xy: geodetic_from_projected(urban.crs, xy),
+            bounds,
+            altitudes=(low, high),
+            size=view.size,
         )
         pixels = view.project(np.column_stack([geodetic_from_projected(urban.crs, points[:, :2]), points[:, 2]]))
         inside = ((pixels >= 0) & (pixels <= np.array(view.size) - 1)).all(axis=1)
@@ -62,7 +66,12 @@ def test_a_window_holds_every_point_of_its_tile(urban):
         # And it is hardly larger than it must be: random points miss the corners by some px.
         assert (np.array(window[2:]) <= np.ptp(pixels, axis=0) + 30).all()
         grown = pixel_window(
-            view.project, lambda xy: geodetic_from_projected(urban.crs, xy), bounds, (low, high), view.size, margin=10
+            view.project,
+            lambda xy: geodetic_from_projected(urban.crs, xy),
+            bounds,
+            altitudes=(low, high),
+            size=view.size,
+            margin=10,
         )
         assert grown[0] == max(window[0] - 10, 0) and grown[2] >= window[2]
 
@@ -73,7 +82,11 @@ def test_what_the_image_does_not_see_has_no_window(urban):
 
     def window(bounds):
         return pixel_window(
-            view.project, lambda xy: geodetic_from_projected(urban.crs, xy), bounds, urban.height_range, view.size
+            view.project,
+            lambda xy: geodetic_from_projected(urban.crs, xy),
+            bounds,
+            altitudes=urban.height_range,
+            size=view.size,
         )
 
     assert window((x1 + 5000, y0, x1 + 5100, y1)) is None
@@ -151,7 +164,7 @@ def test_a_window_reaches_from_the_first_pixel_to_the_last_at_all_altitudes(boun
         assert points.shape == (25, 3)
         return np.column_stack([points[:, 0] + 0.01 * points[:, 2], 300.0 - points[:, 1]])
 
-    found = pixel_window(project, lambda xy: xy, bounds, (0.0, 200.0), (400, 300), margin)
+    found = pixel_window(project, lambda xy: xy, bounds, altitudes=(0.0, 200.0), size=(400, 300), margin=margin)
     assert found == window
 
 
@@ -159,5 +172,10 @@ def test_a_window_that_the_model_cannot_place_is_none():
     def project(points):
         return np.where(points[:, :1] > 140, np.nan, points[:, :2])
 
-    assert pixel_window(project, lambda xy: xy, (0.0, 0.0, 150.0, 150.0), (0.0, 1.0), (400, 300)) is None
-    assert pixel_window(project, lambda xy: xy, (0.0, 0.0, 139.0, 150.0), (0.0, 1.0), (400, 300)) == (0, 0, 140, 151)
+    assert pixel_window(project, lambda xy: xy, (0.0, 0.0, 150.0, 150.0), altitudes=(0.0, 1.0), size=(400, 300)) is None
+    assert pixel_window(project, lambda xy: xy, (0.0, 0.0, 139.0, 150.0), altitudes=(0.0, 1.0), size=(400, 300)) == (
+        0,
+        0,
+        140,
+        151,
+    )

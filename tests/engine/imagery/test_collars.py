@@ -34,7 +34,7 @@ def found(tmp_path):
                     dataset.GetRasterBand(1).SetNoDataValue(nodata)
                 dataset = None
         target = tmp_path / "found.tif"
-        share = write_collar_mask(paths[0], 1, paths[1] if mask is not None else "", str(target), part=part)
+        share = write_collar_mask(paths[0], 1, paths[1] if mask is not None else "", target=str(target), part=part)
         if not target.exists():
             return share, None
         with opened(str(target)) as dataset:

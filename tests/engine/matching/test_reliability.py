@@ -58,7 +58,7 @@ def inner(mask, pixels):
 
 def kept(first, second, metres=1.0):
     found = match(first, second, (LOW, HIGH), 1.0)
-    return found, mask_unreliable(found, first, second, (LOW, HIGH), 1.0, metres)
+    return found, mask_unreliable(found, first, second, disparities=(LOW, HIGH), height_sign=1.0, metres_per_px=metres)
 
 
 def test_still_water_goes_and_land_stays():
@@ -91,7 +91,7 @@ def test_a_plain_roof_stays(size, wobble, stays):
     patches = ndimage.gaussian_filter(np.random.default_rng(4).normal(size=SHAPE), 5)
     disparity = np.where(roof, disparity + wobble * patches / patches.std(), 0.0).astype(np.float32)
     found = DisparityMap(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool))
-    left = mask_unreliable(found, first, second, (LOW, HIGH), 1.0, 1.0)
+    left = mask_unreliable(found, first, second, disparities=(LOW, HIGH), height_sign=1.0, metres_per_px=1.0)
     assert np.isfinite(left.disparity[inner(roof, 6)]).mean() == stays
     assert np.isfinite(left.disparity[inner(~roof, 16)]).all()  # nearer, the roof hides land
 
@@ -111,9 +111,9 @@ def _plateau(rise, bright, metres):
         DisparityMap(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool)),
         first,
         second,
-        (LOW, HIGH),
-        1.0,
-        metres,
+        disparities=(LOW, HIGH),
+        height_sign=1.0,
+        metres_per_px=metres,
     )
     return np.isfinite(left.disparity[inner(top, 6)]).mean(), np.isfinite(left.disparity[:50]).mean()
 
@@ -131,7 +131,7 @@ def test_a_bright_slope_stays():
     texture = np.where(disparity > 9, 0.85 + 0.3 * (land(3) - 0.5), land()).astype(np.float32)
     first, second = pair(disparity.astype(int), texture)
     found = DisparityMap(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool))
-    left = mask_unreliable(found, first, second, (LOW, HIGH), 1.0, 20.0)
+    left = mask_unreliable(found, first, second, disparities=(LOW, HIGH), height_sign=1.0, metres_per_px=20.0)
     assert np.isfinite(left.disparity[disparity > 10]).mean() > 0.99
 
 

@@ -132,16 +132,26 @@ def test_a_cloud_goes_with_its_rim_and_the_ground_stays():
     matched = DisparityMap(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool))
     matched.filled[90:100, 30:90] = True  # a fill that leads farther than the surroundings of the cloud
     for sign, gone in ((-1.0, True), (1.0, False)):  # lower disparities are higher ground, or a deep hole
-        left = mask_unreliable(matched, first, second, (-20, 20), sign, 10.0)
+        left = mask_unreliable(matched, first, second, disparities=(-20, 20), height_sign=sign, metres_per_px=10.0)
         assert np.isnan(left.disparity[inside]).all() == gone
         assert np.isfinite(left.disparity[:60]).all() and np.isfinite(left.disparity[:, 210:]).all()
         assert (np.isnan(left.disparity) <= np.isnan(left.score)).all() or not gone
         assert not (left.filled & np.isnan(left.disparity)).any()
         assert np.isnan(left.disparity[90:100, 30:90]).all() == gone
     strict = replace(NUMBERS, cloud_m=149.0)
-    left = mask_unreliable(matched, first, second, (-20, 20), -1.0, 10.0, strict)
+    left = mask_unreliable(
+        matched, first, second, disparities=(-20, 20), height_sign=-1.0, metres_per_px=10.0, parameters=strict
+    )
     assert np.isnan(left.disparity[inside]).all()
-    left = mask_unreliable(matched, first, second, (-20, 20), -1.0, 10.0, replace(NUMBERS, cloud_m=151.0))
+    left = mask_unreliable(
+        matched,
+        first,
+        second,
+        disparities=(-20, 20),
+        height_sign=-1.0,
+        metres_per_px=10.0,
+        parameters=replace(NUMBERS, cloud_m=151.0),
+    )
     assert np.isfinite(left.disparity[inside]).all()
 
 
@@ -210,7 +220,9 @@ def test_pixels_without_a_match_have_no_support():
     disparity = np.zeros(SHAPE, np.float32)
     disparity[40:200:2, 40:200] = disparity[40:200, 40:200:2] = np.nan
     matched = DisparityMap(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool))
-    left = mask_unreliable(matched, first, whole_pair(np.zeros(SHAPE), first), (-20, 20), 1.0, 1.0)
+    left = mask_unreliable(
+        matched, first, whole_pair(np.zeros(SHAPE), first), disparities=(-20, 20), height_sign=1.0, metres_per_px=1.0
+    )
     assert np.isnan(left.disparity[50:190, 50:190]).all() and np.isfinite(left.disparity[:30]).all()
 
 
@@ -225,5 +237,5 @@ def test_an_island_in_water_is_no_cloud():
     noise = np.random.default_rng(3)
     first, second = (image + noise.normal(0, 0.004, image.shape).astype(np.float32) for image in (first, second))
     matched = DisparityMap(disparity, np.ones(SHAPE, np.float32), np.zeros(SHAPE, bool))
-    left = mask_unreliable(matched, first, second, (-20, 20), 1.0, 10.0)
+    left = mask_unreliable(matched, first, second, disparities=(-20, 20), height_sign=1.0, metres_per_px=10.0)
     assert np.isfinite(left.disparity[90:140, 110:160]).all() and np.isnan(left.disparity[:60, :80]).all()

@@ -48,7 +48,7 @@ def bank():
 def kept(pair, wide=True):
     found = match(*pair, (LOW, HIGH), 1.0)
     wider = partial(wide_match, reduced_pair(*pair, (LOW, HIGH)), 1.0, match, MATCHING) if wide else None
-    return mask_unreliable(found, *pair, (LOW, HIGH), 1.0, 1.0, wider=wider)
+    return mask_unreliable(found, *pair, disparities=(LOW, HIGH), height_sign=1.0, metres_per_px=1.0, wider=wider)
 
 
 def test_weak_shading_gets_heights_within_their_stated_error(bank):
@@ -88,4 +88,5 @@ def test_what_is_supported_is_not_matched_again(bank):
     def wider(missing):
         raise AssertionError("nothing large is missing")
 
-    assert mask_unreliable(found, *pair, (LOW, HIGH), 1.0, 1.0, wider=wider) is found
+    numbers = {"disparities": (LOW, HIGH), "height_sign": 1.0, "metres_per_px": 1.0}
+    assert mask_unreliable(found, *pair, **numbers, wider=wider) is found

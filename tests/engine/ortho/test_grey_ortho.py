@@ -27,7 +27,15 @@ def painted(urban_run, tmp_path, told):
     def made(dsm, workers=1, parameters=ORTHO):
         surface, path = FinishedSurface.of(dsm, scene.crs, HeightDatum.of("")), str(tmp_path / "ortho.tif")
         options = DsmFuseOptions(scene=str(scene.path), output=dsm, workers=workers)
-        make_grey_ortho(nadir_first(scene), surface, options, path, str(tmp_path), told(), parameters)
+        make_grey_ortho(
+            nadir_first(scene),
+            surface,
+            options,
+            path=path,
+            folder=str(tmp_path),
+            progress=told(),
+            parameters=parameters,
+        )
         return bands(path)[0][0], surface
 
     return made

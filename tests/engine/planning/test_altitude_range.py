@@ -29,7 +29,7 @@ def test_the_true_range_is_inside_and_the_range_is_not_absurd(request, told, kin
     scene = request.getfixturevalue(kind)
     seen = float(scene.surface.min()), float(scene.surface.max())
     search = search or scene.views[0].rpc.height_range
-    found = sweep_altitudes(scene.views, scene.crs, scene.bounds, search, told())
+    found = sweep_altitudes(scene.views, scene.crs, scene.bounds, search=search, progress=told())
     assert found.altitudes[0] <= seen[0] and found.altitudes[1] >= seen[1]
     assert np.diff(found.altitudes)[0] < seen[1] - seen[0] + wider + 2 * found.step_m
     assert search[0] <= found.altitudes[0] and found.altitudes[1] <= search[1]
@@ -59,7 +59,7 @@ def test_real_pairs(shared_data, told):
     dataset = None
     heights = heights[np.isfinite(heights) & (heights > -1000)]
     bounds = (west + 50, north - 400, west + 450, north - 50)
-    found = sweep_altitudes(views, f"EPSG:{crs}", bounds, views[0].rpc.height_range, told())
+    found = sweep_altitudes(views, f"EPSG:{crs}", bounds, search=views[0].rpc.height_range, progress=told())
     low, high = np.percentile(heights, (1, 99))
     assert found.altitudes[0] <= low and found.altitudes[1] >= high
     assert np.diff(found.altitudes)[0] < 2.5 * (high - low) + 100
@@ -79,7 +79,7 @@ def test_stripes_of_zeros_do_not_widen_the_range(told, tmp_path):
     surface, (west, cell, _, north, _, _) = dataset.ReadAsArray(), dataset.GetGeoTransform()
     crs = f"EPSG:{dataset.GetSpatialRef().GetAuthorityCode(None)}"
     bounds = (west, north - surface.shape[0] * cell, west + surface.shape[1] * cell, north)
-    plain = sweep_altitudes(views, crs, bounds, search, told())
+    plain = sweep_altitudes(views, crs, bounds, search=search, progress=told())
     masked = []
     for view in views:
         dataset = gdal.Open(view.image, gdal.GA_Update)
@@ -89,9 +89,9 @@ def test_stripes_of_zeros_do_not_widen_the_range(told, tmp_path):
         dataset.GetRasterBand(1).WriteArray(values)
         dataset = None
         mask = str(tmp_path / f"mask_{view.name}.tif")
-        assert write_collar_mask(view.image, view.band, "", mask) > 0.2
+        assert write_collar_mask(view.image, view.band, "", target=mask) > 0.2
         masked.append(replace(view, mask=mask))
-    found = sweep_altitudes(masked, crs, bounds, search, told())
+    found = sweep_altitudes(masked, crs, bounds, search=search, progress=told())
     assert found.altitudes[0] > plain.altitudes[0] - 50.0 and found.altitudes[1] < plain.altitudes[1] + 50.0
     low, high = np.percentile(surface, (0.5, 99.5))
     assert found.altitudes[0] < low and found.altitudes[1] > high
@@ -113,17 +113,23 @@ def test_slopes_are_what_two_heights_say(urban):
 
 def test_what_the_user_gives_comes_first(urban, told):
     search = urban.views[0].rpc.height_range
-    assert altitude_range(urban.views, urban.crs, urban.bounds, search, (150.0, 300.0), None, told()) == (
+    assert altitude_range(
+        urban.views, urban.crs, urban.bounds, search=search, given=(150.0, 300.0), dem=None, progress=told()
+    ) == (
         (150.0, 300.0),
         "given",
     )
     wide = (0.0, 900.0)
-    found, source = altitude_range(urban.views, urban.crs, urban.bounds, wide, (100.0, None), None, told())
+    found, source = altitude_range(
+        urban.views, urban.crs, urban.bounds, search=wide, given=(100.0, None), dem=None, progress=told()
+    )
     assert found[0] == 100.0 and source == "given and images" and found[1] >= urban.surface.max()
     with pytest.raises(
         OptionError, match="ALTITUDE_MIN is 5000.0: it leaves no range: the ground lies between [12]?[0-9]{2} "
     ):
-        altitude_range(urban.views, urban.crs, urban.bounds, search, (5000.0, None), None, told())
+        altitude_range(
+            urban.views, urban.crs, urban.bounds, search=search, given=(5000.0, None), dem=None, progress=told()
+        )
 
 
 def test_a_range_that_only_the_search_ended_is_the_rpcs(urban, told):
@@ -135,7 +141,9 @@ def test_a_range_that_only_the_search_ended_is_the_rpcs(urban, told):
         ((low - 400.0, high + 20.0), "images and RPC"),
         ((low - 400.0, high + 400.0), "images"),
     ):
-        found, source = altitude_range(urban.views, urban.crs, urban.bounds, search, NONE, None, told())
+        found, source = altitude_range(
+            urban.views, urban.crs, urban.bounds, search=search, given=NONE, dem=None, progress=told()
+        )
         assert source == wanted
         assert [end == most for end, most in zip(found, search)] == [
             wanted in ("RPC", "RPC and images"),
@@ -145,7 +153,9 @@ def test_a_range_that_only_the_search_ended_is_the_rpcs(urban, told):
 
 def test_a_dem_comes_before_the_images(urban, told):
     said = told()
-    found, source = altitude_range(urban.views, urban.crs, urban.bounds, (0.0, 9000.0), NONE, urban.truth, said)
+    found, source = altitude_range(
+        urban.views, urban.crs, urban.bounds, search=(0.0, 9000.0), given=NONE, dem=urban.truth, progress=said
+    )
     assert source == "DEM" and len(said.warnings) == 1 and "above the WGS 84 ellipsoid" in said.warnings[0]
     assert found[0] == pytest.approx(urban.surface.min() - 20, abs=1.0)
     assert found[1] == pytest.approx(urban.surface.max() + 60, abs=5.0)
@@ -159,13 +169,15 @@ def test_images_that_do_not_tell(urban, told, tmp_path, write_image):
         tuple(write_image(tmp_path / f"{i}.tif", noise[i], view.rpc) for i, view in enumerate(urban.views))
     )
     said = told()
-    assert altitude_range(views, urban.crs, urban.bounds, (100.0, 400.0), NONE, None, said) == ((100.0, 400.0), "RPC")
+    assert altitude_range(
+        views, urban.crs, urban.bounds, search=(100.0, 400.0), given=NONE, dem=None, progress=said
+    ) == ((100.0, 400.0), "RPC")
     assert "altitude range could not be found" in said.warnings[0]
 
 
 def test_a_scene_across_180_degrees(urban, told, tmp_path):
     """The town turned about the Earth's axis, so that half of it has longitudes of -180 degrees: the same range."""
-    plain = sweep_altitudes(urban.views, urban.crs, urban.bounds, (0.0, 500.0), told())
+    plain = sweep_altitudes(urban.views, urban.crs, urban.bounds, search=(0.0, 500.0), progress=told())
     corners = np.array([urban.bounds[:2], urban.bounds[2:]])
     lon_lat = geodetic_from_projected(urban.crs, corners)
     turn = 180.0 - lon_lat[:, 0].mean()
@@ -173,7 +185,7 @@ def test_a_scene_across_180_degrees(urban, told, tmp_path):
     crs = utm_crs(180.0, lon_lat[0, 1])
     xy = projected_from_geodetic(crs, lon_lat + [turn, 0.0])
     bounds = (xy[:, 0].min(), xy[:, 1].min(), xy[:, 0].max(), xy[:, 1].max())
-    found = sweep_altitudes(views, crs, bounds, (0.0, 500.0), told())
+    found = sweep_altitudes(views, crs, bounds, search=(0.0, 500.0), progress=told())
     np.testing.assert_allclose(found.altitudes, plain.altitudes, atol=2 * found.step_m)
     assert found.matched > 0.8 * plain.matched
 
@@ -197,21 +209,26 @@ def test_of_several_pairs_that_with_most_heights_counts(monkeypatch, told):
     """Pairs are tried one after the other, until one shows enough of the ground."""
     matched, asked = {"ab": 3, "ac": 7, "bc": 5, "bd": 900}, []
 
-    def swept(first, second, *rest):
+    def swept(first, second, *rest, **more):
         asked.append(first + second)
         count = matched[asked[-1]]
         return SweepResult((0.0, float(count)), count, 1000, 1.0, np.empty((0, 3))) if count else None
 
     monkeypatch.setattr(altitude_range_module, "_pairs", lambda *given: [(pair[0], pair[1], 0.3) for pair in matched])
     monkeypatch.setattr(altitude_range_module, "_swept", swept)
-    area = Bounds(0.0, 0.0, 1.0, 1.0), (0.0, 100.0)
     three = replace(SWEEP, pairs=3)
-    assert sweep_altitudes((), "", *area, told(), three).matched == 7 and asked == ["ab", "ac", "bc"]
+
+    def best():
+        return sweep_altitudes(
+            (), "", Bounds(0.0, 0.0, 1.0, 1.0), search=(0.0, 100.0), progress=told(), parameters=three
+        )
+
+    assert best().matched == 7 and asked == ["ab", "ac", "bc"]
     asked.clear()
     matched.update(ac=100)  # a tenth of the cells is enough
-    assert sweep_altitudes((), "", *area, told(), three).matched == 100 and asked == ["ab", "ac"]
+    assert best().matched == 100 and asked == ["ab", "ac"]
     matched.update(ab=0, ac=0, bc=0)
-    assert sweep_altitudes((), "", *area, told(), three) is None
+    assert best() is None
 
 
 def test_pairs_of_one_day_and_of_the_best_ratio_come_first(urban):

@@ -36,5 +36,5 @@ def test_an_altitude_beyond_the_dem_is_refused_with_both_ends_of_the_ground(monk
     low, high = ALTITUDES.around_dem(100.0, 150.0)
     for given, option in (((5000.0, None), "ALTITUDE_MIN"), ((None, -400.0), "ALTITUDE_MAX")):
         with pytest.raises(OptionError, match=option) as caught:
-            altitude_range.altitude_range([], "", None, (0.0, 1.0), given, "dem.tif", None)
+            altitude_range.altitude_range([], "", None, search=(0.0, 1.0), given=given, dem="dem.tif", progress=None)
         assert f"the ground lies between {low:.0f} and {high:.0f} m" in str(caught.value)

@@ -32,7 +32,7 @@ def planes(synthetic_rpc, told):
             for number, one in enumerate(known)
         ]
         said = told()
-        views, search = with_planes(views, "EPSG:32631", BOUNDS, (100.0, 300.0), None, said)
+        views, search = with_planes(views, "EPSG:32631", BOUNDS, search=(100.0, 300.0), dem=None, progress=said)
         return [view.plane and (view.plane.height, view.plane.source) for view in views], search, said
 
     return found

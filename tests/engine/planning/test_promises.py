@@ -114,7 +114,7 @@ def warnings_of_rpcs(folder, told, images, altitudes, wrong_px=0.0):
     scene = replace(scene, views=(first, moved, *others))
     pairs, said = choose_pairs(scene), told()
     stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
-    figures = point_views(scene, pairs, stretches, "auto", [], said).figures
+    figures = point_views(scene, pairs, stretches, model="auto", gcps=[], progress=said).figures
     assert any(f"uncertain by {1.645 / 2 * figures.height_uncertainty_m:.1f} m (LE90" in text for text in said.notes)
     assert any("CE90" in text for text in said.notes)
     return scene, [text for text in advice(scene, pairs, figures) if "RPC" in text]

@@ -125,7 +125,7 @@ def test_it_is_a_warning_with_both_ranges_and_a_remedy(urban, fitted):
 
 def pointed(scene, told):
     pairs, stretches = choose_pairs(scene), {view.name: view_stretch(view.image, view.band) for view in scene.views}
-    found = point_views(scene, pairs, stretches, "shift", [], told())
+    found = point_views(scene, pairs, stretches, model="shift", gcps=[], progress=told())
     warned = [text for text in advice(scene, pairs, found.figures) if "its RPCs were made" in text]
     return float(np.median(found.adjusted.ground[:, 2])), found.figures.height_uncertainty_m / 2.0, warned
 

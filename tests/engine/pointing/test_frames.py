@@ -119,7 +119,17 @@ def test_each_pair_of_a_block_has_patches_of_its_own(block):
 
 def test_a_block_is_adjusted_as_a_whole(block):
     pointing = replace(POINTING, ties=IN_PATCHES)
-    found = point_views(block.scene, block.pairs, block.stretches, "auto", [], Silent(), 1, "rpc", pointing)
+    found = point_views(
+        block.scene,
+        block.pairs,
+        block.stretches,
+        model="auto",
+        gcps=[],
+        progress=Silent(),
+        workers=1,
+        route="rpc",
+        parameters=pointing,
+    )
     assert found.figures.after_px < 0.15 and found.figures.count > 200
     # What the corrections leave of the errors, apart from moves of the whole, which no image shows.
     middle = np.array([block.spec.lon, block.spec.lat, 920.0])
@@ -145,12 +155,12 @@ def test_a_pair_without_ties_is_left_out_where_others_connect_its_frames(block):
     mates = sorted({name for pair in three for name in pair if passes((name,)) == passes((first,))} - {first})
     weak = (first, mates[0])
     least = replace(IN_PATCHES, matches=replace(TIES.matches, least_ties=40))
-    matches = find_ties(block.scene, [*three, weak], block.stretches, Silent(), 1, parameters=least)
+    matches = find_ties(block.scene, [*three, weak], block.stretches, progress=Silent(), workers=1, parameters=least)
     counts = {(match.first, match.second): len(match.first_px) for match in matches}
     assert min(counts.values()) >= 40 and set(counts) <= {*three, weak}
     strict = replace(IN_PATCHES, matches=replace(TIES.matches, least_ties=10_000))
     with pytest.raises(EmptyResultError, match=f"{first} and {second} have only [0-9]+ consistent tie points"):
-        find_ties(block.scene, block.names[:1], block.stretches, Silent(), 1, parameters=strict)
+        find_ties(block.scene, block.names[:1], block.stretches, progress=Silent(), workers=1, parameters=strict)
 
 
 def test_ties_of_one_pass_alone_have_no_height(block):
@@ -174,7 +184,7 @@ def test_the_altitudes_of_a_block_come_from_all_its_parts(block):
     views, bounds = block.scene.views, np.array([tile.bounds for tile in block.scene.tiles])
     whole = (*bounds[:, :2].min(axis=0), *bounds[:, 2:].max(axis=0))
     swept = replace(PLANNING.sweep, cells=40, reduction=4)
-    found = sweep_altitudes(views, block.scene.crs, whole, (850.0, 1000.0), Silent(), swept)
+    found = sweep_altitudes(views, block.scene.crs, whole, search=(850.0, 1000.0), progress=Silent(), parameters=swept)
     assert found is not None and found.cells > 4 * 400
     low, high = found.altitudes
     assert 850.0 < low < 905.0 and 925.0 < high < 1000.0

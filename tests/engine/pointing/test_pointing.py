@@ -222,7 +222,7 @@ def pointed(urban, tmp_path_factory, told):
     gcps = read_gcps(urban.made["gcps"], scene.views)
     said = told()
     before = [view.pointing.copy() for view in scene.views]
-    found = point_views(scene, pairs, stretches, "auto", gcps, said)
+    found = point_views(scene, pairs, stretches, model="auto", gcps=gcps, progress=said)
     assert all(np.array_equal(view.pointing, pointing) for view, pointing in zip(scene.views, before))
     return replace(scene, views=found.views), pairs, gcps, found, said
 

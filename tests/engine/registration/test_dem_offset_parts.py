@@ -40,7 +40,7 @@ def test_a_surface_that_must_be_lowered_lies_above_its_dem(monkeypatch):
     monkeypatch.setattr(module, "SupportMeans", lambda *what: None)
     monkeypatch.setattr(module, "solve_shift", lambda *what, **how: shift)
     grid = SimpleNamespace(bounds=Bounds(0.0, 0.0, 100.0, 100.0), cell=1.0)
-    found = dem_offset(scene(None, ties(9.0)), "EPSG:32631", grid, np.zeros((2, 2)), Prior(8.0, 5.0, 60.0))
+    found = dem_offset(scene(None, ties(9.0)), "EPSG:32631", grid, height=np.zeros((2, 2)), prior=Prior(8.0, 5.0, 60.0))
     assert (found.up_m, found.deviation_m) == (42.0, 0.7)
     assert found.most_m == pytest.approx(REGISTRATION.unexpected * math.hypot(4.5, 0.7, REGISTRATION.dem_m))
     assert found.unexpected and "42.0 m above the DEM 'dem.tif'" in found.sentence()

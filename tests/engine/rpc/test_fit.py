@@ -22,7 +22,9 @@ from repm_qgis.simulation.sensor import GF7, PLEIADES, ZY3, aim
 def test_rpc_is_the_sensor(sensor, size, heights):
     rng = np.random.default_rng(5)
     for number, look in enumerate(sensor.looks):
-        view = aim(sensor, look, (6.65, 44.38, np.mean(heights)), (size, size), 191.0, number, "v")
+        view = aim(
+            sensor, look, (6.65, 44.38, np.mean(heights)), size=(size, size), heading_deg=191.0, seed=number, name="v"
+        )
         fit = fit_rpc(view.localise, view.size, heights)
         ground = view.localise(rng.uniform(-0.5, size - 0.5, (4000, 2)), rng.uniform(*heights, 4000))
         error = np.linalg.norm(fit.rpc.project(ground) - view.project(ground), axis=1)
@@ -33,7 +35,7 @@ def test_rpc_is_the_sensor(sensor, size, heights):
 
 
 def test_denominators_stay_near_one():
-    view = aim(ZY3, ZY3.looks[0], (6.65, 44.38, 1000.0), (5120, 5120), 191.0, 1, "v")
+    view = aim(ZY3, ZY3.looks[0], (6.65, 44.38, 1000.0), size=(5120, 5120), heading_deg=191.0, seed=1, name="v")
     rpc = fit_rpc(view.localise, view.size, (400.0, 1900.0)).rpc
     ground = view.localise(*virtual_grid((5120, 5120), (400.0, 1900.0), (12, 12, 5)))
     lon, lat, h = (
@@ -68,7 +70,7 @@ def test_denominators_stay_near_one():
 
 
 def test_a_flat_height_range_or_a_blind_sensor_is_refused():
-    view = aim(PLEIADES, PLEIADES.looks[0], (1.44, 43.6, 200.0), (200, 200), 191.0, 1, "v")
+    view = aim(PLEIADES, PLEIADES.looks[0], (1.44, 43.6, 200.0), size=(200, 200), heading_deg=191.0, seed=1, name="v")
     with pytest.raises(RpcInvalidError, match="range"):
         fit_rpc(view.localise, view.size, (200.0, 200.0))
     with pytest.raises(RpcInvalidError, match="no ground point"):

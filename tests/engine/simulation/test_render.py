@@ -20,7 +20,9 @@ CENTRE = (1.44, 43.60)
 
 
 def _view(number, size, height=200.0, sensor=PLEIADES):
-    return aim(sensor, sensor.looks[number], (*CENTRE, height), (size, size), 191.0, 3, f"v{number}")
+    return aim(
+        sensor, sensor.looks[number], (*CENTRE, height), size=(size, size), heading_deg=191.0, seed=3, name=f"v{number}"
+    )
 
 
 def _surface(height, cell=0.5, wall=math.inf):

@@ -14,7 +14,10 @@ TARGET = (1.44, 43.60, 200.0)
 
 
 def _views(sensor, size=1000, heading=191.0):
-    return [aim(sensor, look, TARGET, (size, size), heading, 7, f"v{i}") for i, look in enumerate(sensor.looks)]
+    return [
+        aim(sensor, look, TARGET, size=(size, size), heading_deg=heading, seed=7, name=f"v{i}")
+        for i, look in enumerate(sensor.looks)
+    ]
 
 
 def _xyz(lon_lat_h):
@@ -98,7 +101,7 @@ def test_base_to_height_of_the_triplets():
 
 
 def test_roll_looks_to_the_right_of_the_flight():
-    view = aim(PLEIADES, Look(0.0, 0.5, 20.0), TARGET, (100, 100), 0.0, 1, "v")
+    view = aim(PLEIADES, Look(0.0, 0.5, 20.0), TARGET, size=(100, 100), heading_deg=0.0, seed=1, name="v")
     ground = view.localise(np.array([[49.5, 49.5]] * 2), np.array([200.0, 1200.0]))
     # Flying north and looking right, the satellite stands in the west: higher points on the ray lie westwards.
     assert ground[1, 0] < ground[0, 0]
@@ -108,7 +111,7 @@ def test_roll_looks_to_the_right_of_the_flight():
 
 def test_a_look_beyond_the_horizon_is_refused():
     with pytest.raises(OptionError, match="horizon"):
-        aim(PLEIADES, Look(70.0, 0.5), TARGET, (100, 100), 191.0, 1, "v")
+        aim(PLEIADES, Look(70.0, 0.5), TARGET, size=(100, 100), heading_deg=191.0, seed=1, name="v")
 
 
 def test_jitter_moves_lines_as_its_sines_say():

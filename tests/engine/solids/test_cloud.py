@@ -28,7 +28,7 @@ def gathered(urban_run, tmp_path, told):
         layout = DsmLayout.of(scene, tiles, crs, datum, 0.5)
         options = DsmFuseOptions(scene=str(scene.path), output=dsm, cloud=str(tmp_path / "c.laz"), workers=1)
         part, surface = replace(scene, tiles=tiles), FinishedSurface.of(dsm, crs, datum)
-        found = gathered_points(part, surface, layout, options, str(tmp_path), told())
+        found = gathered_points(part, surface, layout, options=options, folder=str(tmp_path), progress=told())
         return np.concatenate([points for tile in found for points in tile])
 
     return made

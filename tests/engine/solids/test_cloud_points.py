@@ -36,7 +36,9 @@ def source(x, z, rows=range(2, 12)):
 
 def kept(heights, height=None, own=ALL, scale=1.0, normals=False, **cloud):
     height = surface() if height is None else height
-    return cloud_points(heights, scale, GRID, height, own, normals, replace(SOLIDS.cloud, **cloud))
+    return cloud_points(
+        heights, scale, GRID, surface=height, own=own, with_normals=normals, parameters=replace(SOLIDS.cloud, **cloud)
+    )
 
 
 def profile(points):

@@ -42,7 +42,7 @@ def test_the_coarse_surface_is_the_ground(mountains, mountains_run, told):
     scene = Scene.load(mountains_run.result["scene"])
     stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
     pairs = [("img_01", "img_02"), ("img_02", "img_03"), ("img_01", "img_03")]
-    found = coarse_surface(scene, pairs, stretches, sgm.match, 1, told())
+    found = coarse_surface(scene, pairs, stretches, match=sgm.match, workers=1, progress=told())
     x, y = np.meshgrid(*found.grid.centres())
     error = found.height - true_heights(mountains, x, y)
     assert np.isfinite(error).sum() > 0.9 * np.isfinite(true_heights(mountains, x, y)).sum()

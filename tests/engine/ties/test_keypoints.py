@@ -169,7 +169,7 @@ def test_the_detector_is_recorded_and_colmaps_gives_ties_as_good(monkeypatch, sc
     stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
     pairs = choose_pairs(scene)
     monkeypatch.setattr(keypoints, "best_detector", lambda parameters: ColmapSift("cpu"))
-    found = point_views(scene, pairs, stretches, "shift", (), Silent())
+    found = point_views(scene, pairs, stretches, model="shift", gcps=(), progress=Silent())
     assert found.figures.detector == "SIFT of COLMAP, on the CPU"
     assert found.figures.count > 60 and found.figures.after_px < 0.1
 
@@ -180,8 +180,8 @@ def test_a_gpu_that_breaks_while_it_works(monkeypatch, scene, told):
     monkeypatch.setattr(keypoints, "best_detector", lambda parameters: BrokenGpu("cuda"))
     said = told()
     matches, detector = keypoints.with_best_detector(
-        lambda best: find_ties(scene, [names], stretches, Silent(), 1, best), said
+        lambda best: find_ties(scene, [names], stretches, progress=Silent(), workers=1, detector=best), said
     )
     assert detector == CPU_DETECTOR and len(said.warnings) == 1 and "out of memory" in said.warnings[0]
-    plain = find_ties(scene, [names], stretches, Silent(), 1)
+    plain = find_ties(scene, [names], stretches, progress=Silent(), workers=1)
     np.testing.assert_array_equal(matches[0].first_px, plain[0].first_px)

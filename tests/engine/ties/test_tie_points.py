@@ -40,7 +40,12 @@ def found(request, tmp_path_factory, told):
     scene = Scene.load(result["scene"])
     stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
     names = [view.name for view in scene.views]
-    return truth, scene, find_ties(scene, [(names[0], names[1]), (names[1], names[2])], stretches, told()), stretches
+    return (
+        truth,
+        scene,
+        find_ties(scene, [(names[0], names[1]), (names[1], names[2])], stretches, progress=told()),
+        stretches,
+    )
 
 
 def epipolar(truth, match):
@@ -107,7 +112,7 @@ def test_the_same_every_time(found, told):
     threads = cv2.getNumThreads()
     try:
         cv2.setNumThreads(1)
-        again = find_ties(scene, [(m.first, m.second) for m in matches], stretches, told())
+        again = find_ties(scene, [(m.first, m.second) for m in matches], stretches, progress=told())
     finally:
         cv2.setNumThreads(threads)
     for a, b in zip(matches, again):
@@ -130,7 +135,7 @@ def test_too_few_ties_are_an_error_with_the_counts(found, told, tmp_path, write_
     )
     names = [view.name for view in blind.views]
     with pytest.raises(EmptyResultError) as caught:
-        find_ties(blind, [tuple(names)], {name: stretches[name] for name in names}, told())
+        find_ties(blind, [tuple(names)], {name: stretches[name] for name in names}, progress=told())
     assert all(name in str(caught.value) for name in names) and "needed: 12" in str(caught.value)
 
 
@@ -138,7 +143,7 @@ def test_alignment_brings_ties_to_a_tenth_of_a_pixel(found, told):
     truth, scene, matches, stretches = found
     names = [view.name for view in scene.views]
     pairs = [(match.first, match.second) for match in matches]
-    tracks = align_ties(scene, tracks_from(matches), pairs, stretches, told())
+    tracks = align_ties(scene, tracks_from(matches), pairs, stretches=stretches, progress=told())
     for first, second in ((names[0], names[1]), (names[0], names[2])):
         # Tracks that begin with the pair's first view were aligned with it.
         own = [t for t in tracks if first in t.pixels and second in t.pixels]
@@ -160,7 +165,11 @@ def test_alignment_follows_the_pairs_of_a_track(found, told):
     first, middle, last = (view.name for view in scene.views)
     assert pairs == [(first, middle), (middle, last)]
     tracks = [track for track in tracks_from(matches) if len(track.pixels) == 3]
-    aligned = [track for track in align_ties(scene, tracks, pairs, stretches, told()) if len(track.pixels) == 3]
+    aligned = [
+        track
+        for track in align_ties(scene, tracks, pairs, stretches=stretches, progress=told())
+        if len(track.pixels) == 3
+    ]
     assert len(aligned) > 40
     for a, b in ((first, middle), (middle, last), (first, last)):
         pixels = [np.array([track.pixels[name] for track in aligned]) for name in (a, b)]
@@ -175,7 +184,7 @@ def test_views_beyond_a_pixel_that_cannot_be_aligned_stay_together(found, told):
     first, middle, last = (view.name for view in scene.views)
     whole = [track for track in tracks_from(matches) if len(track.pixels) == 3]
     wrong = [Track({**track.pixels, first: track.pixels[first] + (0.0, 9.0)}) for track in whole]
-    aligned = align_ties(scene, wrong, pairs, stretches, told())
+    aligned = align_ties(scene, wrong, pairs, stretches=stretches, progress=told())
     assert len(aligned) > 40
     assert sum(set(track.pixels) == {middle, last} for track in aligned) > 0.9 * len(aligned)
 
@@ -190,7 +199,13 @@ def test_rpcs_that_are_wrong_by_tens_of_pixels(found, told, errors):
     lost = Scene(**{**vars(scene), "views": wrong})
     names = [view.name for view in wrong]
     pairs = [(names[0], names[1]), (names[1], names[2]), (names[0], names[2])]
-    tracks = align_ties(lost, tracks_from(find_ties(lost, pairs, stretches, told())), pairs, stretches, told())
+    tracks = align_ties(
+        lost,
+        tracks_from(find_ties(lost, pairs, stretches, progress=told())),
+        pairs,
+        stretches=stretches,
+        progress=told(),
+    )
     pointing = adjust(wrong, tracks, sum(scene.altitudes) / 2).pointing
     right = [view.with_pointing(pointing[view.name]) for view in wrong]
     ground = truth.true_views[1].localise(np.random.default_rng(5).uniform(50, 350, (200, 2)), sum(scene.altitudes) / 2)
@@ -210,7 +225,10 @@ IN_CELLS = dataclasses.replace(TIES, patches=dataclasses.replace(TIES.patches, w
 def test_a_large_scene_is_searched_in_patches_the_same_on_any_number_of_workers(found, told):
     truth, scene, _, stretches = found
     pair = tuple(view.name for view in scene.views[:2])
-    one, two = (find_ties(scene, [pair], stretches, told(), workers, parameters=IN_CELLS)[0] for workers in (1, 2))
+    one, two = (
+        find_ties(scene, [pair], stretches, progress=told(), workers=workers, parameters=IN_CELLS)[0]
+        for workers in (1, 2)
+    )
     np.testing.assert_array_equal(one.first_px, two.first_px)
     np.testing.assert_array_equal(one.second_px, two.second_px)
     distance = epipolar(truth, one)
@@ -246,7 +264,7 @@ def test_of_every_cell_the_place_with_most_texture_comes_first(urban, found, tol
     assert len(cells) > 4 and (size <= 130 * scene.gsd_m + 1).all()
     best = max((texture(cell[0]), cell) for cell in cells)[1]
     assert best[0][0] - 40 < land[0] < best[0][2] + 40 and best[0][1] - 40 < land[1] < best[0][3] + 40
-    ties = find_ties(wet, [(views[0].name, views[1].name)], stretches, told(), parameters=IN_CELLS)[0]
+    ties = find_ties(wet, [(views[0].name, views[1].name)], stretches, progress=told(), parameters=IN_CELLS)[0]
     assert len(ties.first_px) >= 12
     off = np.linalg.norm(ties.first_px - truth.true_views[0].project(ground), axis=1)
     assert np.quantile(off, 0.9) < 110
