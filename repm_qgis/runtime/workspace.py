@@ -223,6 +223,7 @@ def _keep_permissions(temporary: str | os.PathLike[str], target: Path) -> None:
 
 
 _IN_USE = (5, 32, 33)  # Windows: access denied, sharing violation, lock violation (winerror.h)
+_FOR_REMOVAL = 6  # open files: to list a folder takes some for each level
 _PATIENCE_S = 2.0  # for virus scanners and indexers, which open a new file for a moment
 
 
@@ -458,9 +459,22 @@ def with_copy(kept: str, wanted: Optional[str]) -> List[str]:
 def temporary_folder(path: str) -> Iterator[str]:
     """A new folder beside ``path`` for what lives only within the block."""
     folder = temporary_name(path)
-    try:
+    with _removed(folder):
         yield str(ensure_folder(folder))
+
+
+@contextmanager
+def _removed(folder: str) -> Iterator[None]:
+    """Remove a folder after the block, even where the block ends because no more files can be opened."""
+    spare: List[int] = []
+    try:
+        with writing(folder):
+            while len(spare) < _FOR_REMOVAL:
+                spare.append(os.open(os.devnull, os.O_RDONLY))
+        yield
     finally:
+        for each in spare:
+            os.close(each)
         remove_temporary(folder)
 
 
@@ -473,17 +487,14 @@ def whole_folder(path: str) -> Iterator[Path]:
     target = real_target(path)
     recover_folder(path)
     temporary = Path(temporary_name(path))
-    try:
-        with writing(path, str(temporary)):
-            temporary.mkdir()
-            yield temporary
-            for place, _, files in os.walk(temporary):
-                for name in files:
-                    _sync(os.path.join(place, name))
-                _sync(place)
-            _take_place(temporary, target)
-    finally:
-        remove_temporary(str(temporary))
+    with _removed(str(temporary)), writing(path, str(temporary)):
+        temporary.mkdir()
+        yield temporary
+        for place, _, files in os.walk(temporary):
+            for name in files:
+                _sync(os.path.join(place, name))
+            _sync(place)
+        _take_place(temporary, target)
 
 
 def _take_place(temporary: Path, target: Path) -> None:

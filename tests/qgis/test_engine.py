@@ -24,7 +24,7 @@ VENV_PYTHON = sys.executable
 
 STAGES = """
 import multiprocessing, os, signal, subprocess, sys, time
-from ..errors import RpcMissingError
+from ..contracts.errors import RpcMissingError
 
 def nap(pids):
     with open(pids, "a") as stream:
@@ -152,7 +152,7 @@ def test_every_end_but_a_bug_is_one_sentence(engine, feedback, stage, words):
 
 
 def test_what_the_system_says_of_memory_is_passed_on(engine, feedback, monkeypatch):
-    containers = importlib.import_module(f"{engine.__name__.split('.')[0]}.repm_qgis.containers")
+    containers = importlib.import_module(f"{engine.__name__.split('.')[0]}.repm_qgis.runtime.containers")
     counts = iter((3, 4))
     monkeypatch.setattr(containers, "memory_kills", lambda: next(counts))
     with pytest.raises(QgsProcessingException, match="SIGKILL; the system says that memory ran out: use fewer WORKERS"):
@@ -305,7 +305,7 @@ def test_no_interpreter_at_all_says_where_it_was_looked_for(engine, monkeypatch)
 def test_light_stages_have_one_thread_for_linear_algebra(plugin, feedback, monkeypatch):
     """The same input gives the same bytes, whatever number of cores QGIS's own numpy uses."""
     from repm.processing_provider import engine
-    from repm.repm_qgis.runtime.parallel import _thread_settings
+    from repm.repm_qgis.runtime.process_limits import _thread_settings
 
     def threads():
         return {get() for get, _ in _thread_settings()}

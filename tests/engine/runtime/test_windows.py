@@ -110,7 +110,7 @@ def test_tasks_pass_all_their_tests_with_spawned_workers(tmp_path):
         "not memory",
     ]
     done = subprocess.run(
-        [sys.executable, str(start), *words, str(ROOT / "tests" / "engine" / "test_parallel.py")],
+        [sys.executable, str(start), *words, str(ROOT / "tests" / "engine" / "runtime" / "test_parallel.py")],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
