@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 TESTS ?= tests
 
-.PHONY: help setup demo test bench bench-faults fuzz mutation identity lint scan package models i18n pictures clean
+.PHONY: help setup demo test bench bench-faults fuzz mutation identity lint scan site package models i18n pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z0-9%-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -47,6 +47,14 @@ scan: setup ## what plugins.qgis.org would find in the zip: Bandit, secrets, nam
 
 identity: setup ## whether this checkout makes the same results as revision BASE (default HEAD), to the byte
 	@$(PYTHON) benchmarks/identity.py $(BASE)
+
+SITE := dist/site/tool
+site: ## the documents as a site in dist/site/pages; it fails where a link leads nowhere
+	@[ -x $(SITE)/bin/mkdocs ] || { python3 -m venv $(SITE) && $(SITE)/bin/python -m pip install -q -r requirements-site.txt; } || \
+		{ rm -rf $(SITE); echo "site: MkDocs could not be installed into $(SITE): it needs the Python package index"; exit 1; }
+	@# Not --quiet: with it MkDocs does not count its warnings, and dead links pass.
+	@set -o pipefail; NO_MKDOCS_2_WARNING=1 $(SITE)/bin/mkdocs build 2>&1 | { grep -v '^INFO' || true; }
+	@echo "dist/site/pages/index.html"
 
 package: ## dist/repm-VERSION.zip for "Install from ZIP"
 	@/usr/bin/env python3 scripts/package dist

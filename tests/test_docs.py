@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import pathlib
 import re
+from types import SimpleNamespace
 
 import pytest
 
@@ -146,3 +148,23 @@ def test_the_forms_for_issues_have_what_their_site_asks_for():
             assert field["type"] in ("markdown", "textarea", "input"), name
             allowed = {"value"} if field["type"] == "markdown" else {"label", "description", "render"}
             assert {"value", "label"} & set(field["attributes"]) and set(field["attributes"]) <= allowed, name
+
+
+def test_the_site_lists_every_document_and_german_pages_have_german_titles():
+    yaml = pytest.importorskip("yaml")
+    path = ROOT / "scripts" / "site_pages.py"
+    spec = importlib.util.spec_from_file_location("site_pages", path)
+    pages = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(pages)
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").partition("\nnav:")[2]
+    config = pages.on_config(SimpleNamespace(nav=yaml.safe_load(f"nav:{text}")["nav"]))
+
+    def listed(entry):
+        parts = entry.values() if isinstance(entry, dict) else entry
+        return [entry] if isinstance(entry, str) else [page for part in parts for page in listed(part)]
+
+    added = pages.added_pages()
+    documents = [path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")]
+    assert sorted(listed(config.nav)) == sorted([*documents, *added])
+    assert added["de/algorithms/comparedsm.md"].startswith("# DOM mit einer Referenz vergleichen\n")
+    assert "](compatibility.md)" in added["changelog.md"] and "](docs/" not in "".join(added.values())
