@@ -18,7 +18,7 @@ from tests.every_file import wrong
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PROGRAMS = [*sorted((ROOT / "scripts").glob("*.py")), ROOT / "scripts" / "demo", ROOT / "scripts" / "package"]
 PROGRAMS += [ROOT / "scripts" / name for name in ("scan", "repm-cluster", "qgis-matrix", "windows-trial")]
-PROGRAMS.append(ROOT / "scripts" / "workflow-trial")
+PROGRAMS += [ROOT / "scripts" / name for name in ("workflow-trial", "release")]
 PROGRAMS += sorted((ROOT / "benchmarks").rglob("*.py"))
 
 
@@ -108,18 +108,17 @@ def test_the_scan_names_every_planted_problem_on_a_line_of_its_own(tmp_path):
     assert not [line for line in lines if "B404" in line]
 
 
-def workflow_trial():
-    """scripts/workflow-trial as a module."""
-    path = str(ROOT / "scripts" / "workflow-trial")
-    loader = importlib.machinery.SourceFileLoader("workflow_trial", path)
-    spec = importlib.util.spec_from_loader("workflow_trial", loader)
+def script(name):
+    """A program of scripts/ as a module."""
+    loader = importlib.machinery.SourceFileLoader(name.replace("-", "_"), str(ROOT / "scripts" / name))
+    spec = importlib.util.spec_from_loader(loader.name, loader)
     module = importlib.util.module_from_spec(spec)
     loader.exec_module(module)
     return module
 
 
 def test_the_workflows_have_pinned_actions_and_steps_that_can_be_tried_here():
-    yaml, trial = pytest.importorskip("yaml"), workflow_trial()
+    yaml, trial = pytest.importorskip("yaml"), script("workflow-trial")
     steps = [
         step
         for path in (ROOT / ".github" / "workflows").glob("*.yml")
@@ -134,7 +133,7 @@ def test_the_workflows_have_pinned_actions_and_steps_that_can_be_tried_here():
 
 def test_a_trial_runs_steps_as_a_workflow_does_and_names_the_one_that_fails(tmp_path, monkeypatch):
     pytest.importorskip("yaml")
-    trial = workflow_trial()
+    trial = script("workflow-trial")
     monkeypatch.setenv("SECRET_OF_THIS_MACHINE", "1")
     steps = [
         {"name": "first", "run": "echo $WORD ${SECRET_OF_THIS_MACHINE:-hidden} > made; ls -A ~ | wc -l >> made"},
@@ -148,3 +147,71 @@ def test_a_trial_runs_steps_as_a_workflow_does_and_names_the_one_that_fails(tmp_
     assert (job.clone / "written").read_text().split() == ["one", "hidden", "0"]
     with pytest.raises(trial.Failure, match="no stand-in for someone/else"):
         trial.Trial("job", {"steps": [{"uses": "someone/else@v1.0.0"}]}, tmp_path / "other", {}).run()
+
+
+@pytest.fixture
+def to_release(tmp_path, monkeypatch):
+    """scripts/release in a checkout of its own, on main, whose addresses are real; its linters find nothing."""
+    git = ["git", "-c", "user.name=A", "-c", "user.email=a@b.org"]
+    folder = tmp_path / "checkout"
+    subprocess.run(["git", "clone", "--quiet", str(ROOT), str(folder)], check=True)
+    subprocess.run(["git", "checkout", "--quiet", "-B", "main"], cwd=folder, check=True)
+    for name, value in (("user.name", "A"), ("user.email", "a@b.org")):
+        subprocess.run(["git", "config", name, value], cwd=folder, check=True)
+    metadata = folder / "metadata.txt"
+    text = re.sub(r"(?m)^email=.*$", "email=team@dsm.org", metadata.read_text(encoding="utf-8"))
+    metadata.write_text(text, encoding="utf-8")
+    subprocess.run([*git, "commit", "--quiet", "--all", "--message", "address"], cwd=folder, check=True)
+    release = script("release")
+    monkeypatch.setattr(release, "ROOT", folder)
+    monkeypatch.setattr(release, "tried", lambda root, python: [])
+    return release, folder
+
+
+def state(folder):
+    """The commit, the tags and the changes of a checkout."""
+    words = (("rev-parse", "HEAD"), ("tag", "--list"), ("status", "--porcelain"))
+    return [subprocess.run(["git", *each], cwd=folder, capture_output=True, text=True).stdout for each in words]
+
+
+def test_a_release_is_only_tried_unless_one_says_do_it(to_release, capsys):
+    release, folder = to_release
+    before = state(folder)
+    assert release.main(["9.8.7"]) == 0 and "run it again with --do-it" in capsys.readouterr().out
+    assert state(folder) == before
+    assert release.main(["9.8.7", "--do-it"]) == 0
+    assert [part.strip() for part in state(folder)[1:]] == ["v9.8.7", ""]
+    with zipfile.ZipFile(folder / "dist" / "repm-9.8.7.zip") as archive:
+        metadata, engine, citation, changes = (
+            archive.read(f"repm/{name}").decode("utf-8")
+            for name in ("metadata.txt", "repm_qgis/__init__.py", "CITATION.cff", "CHANGELOG.md")
+        )
+    assert "\nversion=9.8.7\n" in metadata and "\nchangelog=9.8.7 (" in metadata
+    assert '__version__ = "9.8.7"' in engine and "\nversion: 9.8.7\ndate-released: " in citation
+    assert re.search(r"## Unreleased\n\n## 9\.8\.7 \(\d{4}-\d\d-\d\d\)\n", changes)
+    assert release.main(["9.8.7"]) == 1
+    assert capsys.readouterr().out.splitlines()[-2:] == [
+        "The tag v9.8.7 is there already.",
+        "CHANGELOG.md: nothing stands under Unreleased.",
+    ]
+
+
+def test_a_release_names_what_is_in_its_way(to_release, monkeypatch, capsys):
+    release, folder = to_release
+    monkeypatch.setattr(release, "tried", lambda root, python: ["mypy fails: 1"])
+    metadata = folder / "metadata.txt"
+    text = re.sub(r"(?m)^email=.*$", "email=who@team.example", metadata.read_text(encoding="utf-8"))
+    metadata.write_text(text, encoding="utf-8")
+    subprocess.run(["git", "checkout", "--quiet", "-b", "other"], cwd=folder, check=True)
+    assert release.main(["0.0.1", "--do-it"]) == 1
+    said = capsys.readouterr().out
+    for part in (
+        "has changes",
+        "not on main",
+        "is older",
+        "'who@team.example', which leads to nobody",
+        "mypy fails: 1",
+    ):
+        assert part in said
+    assert release.main(["two"]) == 1 and "'two' is no version" in capsys.readouterr().out
+    assert state(folder)[1] == ""
