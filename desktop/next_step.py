@@ -27,6 +27,7 @@ from ..processing_provider.kept import is_lasting
 from ..processing_provider.language import said
 from ..processing_provider.values import any_paths, is_empty, layer_path
 from ..repm_qgis.contracts.options import DsmFuseOptions
+from ..repm_qgis.contracts.paths import real_path
 from ..repm_qgis.contracts.products import STYLES, products_of
 
 _PATH = ("inspect", "pipeline", "dsmfuse", "comparedsm", "register")
@@ -226,9 +227,9 @@ def _layer_of(path: Optional[str]) -> Any:
     """The layer of a result, None where it is not on the map."""
     if is_empty(path) or path == QgsProcessing.TEMPORARY_OUTPUT:
         return None
-    place = os.path.realpath(str(path))
+    place = real_path(str(path))
     layers = QgsProject.instance().mapLayers().values()
-    return next((layer for layer in layers if os.path.realpath(layer_path(layer)) == place), None)
+    return next((layer for layer in layers if real_path(layer_path(layer)) == place), None)
 
 
 def _show_view(layer_id: str, kind: str) -> None:

@@ -15,6 +15,7 @@ from typing import Annotated, Any, ClassVar, Dict, List, Mapping, Optional, Tupl
 from .checks import Choice, Given, Number, Rectangle, Switch, types_of, unfit
 from .errors import OptionError
 from .file_kinds import is_cloud, is_delivery, is_ply, is_textured
+from .paths import real_path
 
 MODELS = ("none", "homography", "polynomial", "terrain")
 KERNELS = ("bilinear", "cubic", "lanczos")
@@ -600,13 +601,13 @@ class MosaicOptions(Options):
         if len(self.dsms) + len(self.scenes) < 2:
             few = "must name at least two DSMs, or as many together with SCENES: one alone needs no mosaic"
             raise OptionError("DSMS", list(self.dsms), few)
-        places = [os.path.realpath(path) for path in (*self.dsms, *self.scenes)]
+        places = [real_path(path) for path in (*self.dsms, *self.scenes)]
         for path, place in zip((*self.dsms, *self.scenes), places):
             if places.count(place) > 1:
                 name, kind = ("DSMS", "DSM") if path in self.dsms else ("SCENES", "scene")
                 raise OptionError(name, path, f"is named twice: name each {kind} once")
         for path in self.fixed:
-            if os.path.realpath(path) not in places:
+            if real_path(path) not in places:
                 raise OptionError("FIXED", path, "must be one of DSMS or SCENES: add it there, or leave it out here")
         if self.confidences and len(self.confidences) != len(self.dsms):
             count = f"{len(self.dsms)} rasters: one for each of DSMS, in their order"
@@ -638,7 +639,7 @@ class ChangeOptions(Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if os.path.realpath(self.before) == os.path.realpath(self.after):
+        if real_path(self.before) == real_path(self.after):
             raise OptionError("AFTER", self.after, "is the same file as BEFORE: give the DSM of another date")
         if bool(self.before_confidence) != bool(self.after_confidence):
             lacking = "AFTER" if self.before_confidence else "BEFORE"

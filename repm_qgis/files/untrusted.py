@@ -19,6 +19,7 @@ from osgeo import gdal
 
 from ..contracts.arrays import Window
 from ..contracts.checks import INLINE
+from ..contracts.paths import real_path
 from ..runtime.workspace import file_identity
 
 # Formats of files with pixels or shapes, and of files that list such files. None of them is a service of the network,
@@ -144,7 +145,7 @@ def _look_through(path: str, depth: int, seen: Dict[str, int]) -> int:
     Gives how many files GDAL opens for it, in which a file counts as often as others name it: ten VRTs, each of which
     names the next one ten times, are ten files and ten thousand million openings.
     """
-    real = os.path.realpath(path)
+    real = real_path(path)
     if real in seen:
         return seen[real]
     seen[real] = 1  # for files that name each other, which GDAL refuses

@@ -10,6 +10,7 @@ from typing import Iterator, Mapping, Sequence, Tuple
 from osgeo import gdal
 
 from ..contracts.arrays import Size, Window
+from ..contracts.paths import real_path
 from .raster import NODATA
 
 
@@ -115,8 +116,8 @@ def _name_from(path: str, folder: str) -> Tuple[str, bool]:
     """
     if not os.path.exists(path):
         return path, False
-    place = os.path.join(os.path.realpath(os.path.dirname(os.path.abspath(path))), os.path.basename(path))
+    place = os.path.join(real_path(os.path.dirname(os.path.abspath(path))), os.path.basename(path))
     try:
-        return os.path.relpath(place, os.path.realpath(folder)).replace(os.sep, "/"), True
+        return os.path.relpath(place, real_path(folder)).replace(os.sep, "/"), True
     except ValueError:
         return place, False

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
 
+from ..contracts.paths import real_path
 from ..runtime.packages import PLUGIN_FOLDER, REQUIREMENTS, package_of, requirements_of, sizes_mb
 from ..runtime.workspace import free_bytes, write_text
 from .interpreter import STAMP, is_program, program_in
@@ -54,7 +55,7 @@ def hash_of(requirements: Sequence[str]) -> str:
 def folder_for(home: str, program: str, requirements: Optional[Sequence[str]] = None) -> str:
     """The folder of the environment that an interpreter and these requirements need (None: the plugin's)."""
     lines = requirements_of([REQUIREMENTS]) if requirements is None else requirements
-    mark = f"{os.path.normcase(os.path.realpath(program))} {hash_of(lines)}"
+    mark = f"{os.path.normcase(real_path(program))} {hash_of(lines)}"
     return os.path.join(home, _PREFIX + hashlib.sha256(mark.encode()).hexdigest()[:10])
 
 
@@ -70,7 +71,7 @@ def stamp_of(folder: str) -> Dict[str, Any]:
 
 def mark(folder: str, program: str, requirements: Sequence[str], extras: Sequence[str], **more: Any) -> None:
     """Say that the environment is whole."""
-    known = {"program": os.path.realpath(program), "requirements": hash_of(requirements), "extras": list(extras)}
+    known = {"program": real_path(program), "requirements": hash_of(requirements), "extras": list(extras)}
     write_text(os.path.join(folder, STAMP), json.dumps({**known, **more}, indent=1))
 
 
@@ -82,7 +83,7 @@ def unmark(folder: str) -> None:
 def is_current(folder: str, program: str, requirements: Sequence[str], missing: Sequence[str] = ()) -> bool:
     """Whether an environment is whole, of this interpreter, and has these requirements and what QGIS lacks."""
     known = stamp_of(folder)
-    same = known.get("program") == os.path.realpath(program)
+    same = known.get("program") == real_path(program)
     return same and known.get("requirements") == hash_of(requirements) and set(missing) <= set(known.get("missing", ()))
 
 
@@ -106,9 +107,7 @@ def fits(folder: str, programs: Optional[Sequence[str]]) -> bool:
 
 
 def _is_of(known: Mapping[str, Any], programs: Optional[Sequence[str]]) -> bool:
-    return bool(known) and (
-        programs is None or known.get("program") in [os.path.realpath(program) for program in programs]
-    )
+    return bool(known) and (programs is None or known.get("program") in [real_path(program) for program in programs])
 
 
 def usable(homes: Sequence[str], programs: Optional[Sequence[str]], plugin: Path = PLUGIN_FOLDER) -> str:
@@ -145,7 +144,7 @@ def disk_bytes(folder: str) -> int:
 
 def superseded(folder: str, program: str) -> List[str]:
     """What a new environment makes superfluous beside it: those of the same Python, broken ones, those of no Python."""
-    real = os.path.realpath(program)
+    real = real_path(program)
     others = [each for each in in_home(os.path.dirname(folder)) if each != folder]
     return [each for each in others if stamp_of(each).get("program") in (None, real)]
 

@@ -12,6 +12,7 @@ from datetime import datetime
 from typing import Callable, List, Optional, Sequence, TextIO
 
 from ..contracts.errors import MissingPackageError, OptionError, WorkspaceError
+from ..contracts.paths import real_path
 from ..runtime.locks import exclusive
 from ..runtime.packages import PACKAGES, REPLACEABLE, constraints, name_of, narrowed
 from ..runtime.progress import Part, Progress
@@ -109,7 +110,7 @@ def _make(plan: Plan, python: Interpreter, progress: Progress, log: Callable[[st
     log(f"{datetime.now().astimezone().isoformat(timespec='seconds')} {described(plan)}")
     old = environments.stamp_of(folder)
     # One that is whole is brought up to date (a checkout's, which has a name of its own); all others begin anew.
-    renewed = old.get("program") == os.path.realpath(plan.program) or _is_of(folder, plan.program)
+    renewed = old.get("program") == real_path(plan.program) or _is_of(folder, plan.program)
     try:
         if renewed:
             environments.unmark(folder)
@@ -154,7 +155,7 @@ def _make(plan: Plan, python: Interpreter, progress: Progress, log: Callable[[st
 def _is_of(folder: str, program: str) -> bool:
     """Whether a folder is the environment of this Python that ``scripts/setup`` of version 0.1.0 made."""
     own = program_in(folder)
-    return os.path.exists(os.path.join(folder, ".repm-setup")) and os.path.realpath(own) == os.path.realpath(program)
+    return os.path.exists(os.path.join(folder, ".repm-setup")) and real_path(own) == real_path(program)
 
 
 def _begin(plan: Plan, progress: Progress) -> None:

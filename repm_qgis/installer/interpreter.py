@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Dict, List, Sequence, Tuple
 
 from ..contracts.errors import MissingPackageError
+from ..contracts.paths import real_path
 from ..runtime.packages import OF_QGIS, PACKAGES
 
 STAMP = "repm-environment.json"
@@ -157,7 +158,7 @@ def qgis_python(folders: Sequence[str] = ()) -> Interpreter:
             found = asked(program)
         except MissingPackageError:
             continue
-        same = not own or (found.gdal and os.path.realpath(found.gdal) == os.path.realpath(own))
+        same = not own or (found.gdal and real_path(found.gdal) == real_path(own))
         if found.version == sys.version_info[:2] and same:
             return found
     version = ".".join(map(str, sys.version_info[:2]))

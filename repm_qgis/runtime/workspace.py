@@ -23,6 +23,7 @@ from typing import Any, Dict, FrozenSet, Iterable, Iterator, List, Optional, Set
 
 from .. import __version__
 from ..contracts.errors import Cancelled, RepmError, WorkspaceError
+from ..contracts.paths import real_path
 from . import windows
 
 _kept: Dict[str, os.stat_result] = {}  # what was found at each file of keeping_place
@@ -49,7 +50,7 @@ def keeping_place(file: str) -> Iterator[None]:
 
 def _require_place(path: str) -> None:
     """Raise WorkspaceError where a path lies in a folder of :func:`keeping_place` that is another one now."""
-    place = os.path.realpath(path)
+    place = real_path(path)
     for file, known in list(_kept.items()):
         folder = os.path.dirname(file)
         if os.path.join(place, "").startswith(os.path.join(folder, "")) and not os.path.lexists(file):
@@ -122,8 +123,8 @@ def real_target(path: str, own: bool = False) -> Path:
     """
     named = _named.get()
     if os.path.islink(path) and (own or (named is not None and os.path.abspath(path) not in named)):
-        return Path(os.path.realpath(os.path.dirname(os.path.abspath(path))), os.path.basename(path))
-    target = Path(os.path.realpath(path))
+        return Path(real_path(os.path.dirname(os.path.abspath(path))), os.path.basename(path))
+    target = Path(real_path(path))
     if os.path.exists(target) and not (os.path.isfile(target) or os.path.isdir(target)):  # Path's raise for long names
         raise WorkspaceError(f"'{path}' is a device or a pipe, not a file: choose the name of a file.")
     return target
@@ -360,7 +361,7 @@ def not_written(path: str, reason: str, temporary: str = "") -> WorkspaceError:
 
     Libraries seldom say that the disk is full: an attempt to write to ``temporary``, or beside ``path``, tells.
     """
-    error = _obstacle(temporary or os.path.dirname(os.path.realpath(path)))
+    error = _obstacle(temporary or os.path.dirname(real_path(path)))
     if error is not None:
         return cannot_write(path, error, size_of(temporary))
     if _CUT_SHORT.search(reason):  # what filled the disk may be gone by now: another worker's file, say
@@ -403,7 +404,7 @@ def writing(path: str, temporary: str = "") -> Iterator[None]:
     except OSError as error:
         raise cannot_write(path, error, size_of(temporary or path)) from error
     except Exception as error:
-        obstacle = _obstacle(temporary or os.path.dirname(os.path.realpath(path)))
+        obstacle = _obstacle(temporary or os.path.dirname(real_path(path)))
         if obstacle is None:
             raise
         raise cannot_write(path, obstacle, size_of(temporary or path)) from error
@@ -452,7 +453,7 @@ def with_copy(kept: str, wanted: Optional[str]) -> List[str]:
 
     The user's path may be a temporary one that is gone at the next run, which needs the product.
     """
-    return [kept, wanted] if wanted and os.path.realpath(wanted) != os.path.realpath(kept) else [kept]
+    return [kept, wanted] if wanted and real_path(wanted) != real_path(kept) else [kept]
 
 
 @contextmanager
@@ -522,7 +523,7 @@ def _take_place(temporary: Path, target: Path) -> None:
 
 def recover_folder(path: str) -> None:
     """Put an older folder back that a killed run had put aside."""
-    target = Path(os.path.realpath(path))
+    target = Path(real_path(path))
     aside = _aside(target)
     if aside.is_dir():
         if target.exists():

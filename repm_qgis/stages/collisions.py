@@ -8,6 +8,7 @@ from typing import Dict, List, Tuple
 
 from ..contracts.errors import ImageError, OptionError, SceneError
 from ..contracts.options import Options
+from ..contracts.paths import real_path
 from ..contracts.products import BUILT_FOLDER, FOLDER, SCENE, Product, paths_of
 from ..contracts.records import with_files
 from ..files.vector import file_and_layer
@@ -54,7 +55,7 @@ def require_distinct(stage: str, options: Options) -> None:
 
 def _place(path: str) -> str:
     """What is equal for two paths that are one file, which need not be there yet."""
-    place = os.path.realpath(path)
+    place = real_path(path)
     return place.casefold() if _ignores_case(existing_place(place)) else place
 
 
@@ -100,7 +101,7 @@ def _files_of_scene(path: str, stage: str) -> List[str]:
 
 def _same(path: str, file: str, is_folder: bool) -> bool:
     """Whether writing to a path would replace a file, which may lie in the folder of that path."""
-    place, read = os.path.realpath(path), os.path.realpath(file)
+    place, read = real_path(path), real_path(file)
     if place == read or (is_folder and read.startswith(os.path.join(place, ""))):
         return True
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import time
@@ -16,6 +15,7 @@ from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 from ..contracts.errors import EmptyResultError, ImageError, OptionError, SceneError
 from ..contracts.file_kinds import is_textured
 from ..contracts.options import DsmFuseOptions, ViewerOptions
+from ..contracts.paths import real_path
 from ..contracts.products import not_requested, paths_of, product, products_of
 from ..contracts.records import FusionFacts, ViewPair
 from ..exports.stac import require_times, write_item
@@ -151,9 +151,9 @@ def colours_of(
         return None
     scene.require_images()
     plan = colour_plan(scene, options, progress, parameters.ortho.sharpening)
-    files = {os.path.realpath(path) for path in (plan.files if plan else ())}
+    files = {real_path(path) for path in (plan.files if plan else ())}
     for each, path in paths_of("dsmfuse", options):
-        if os.path.realpath(path) in files:
+        if real_path(path) in files:
             reason = "is also an image that is read for its colours, which would be lost: choose another name"
             raise OptionError(each.option.upper(), path, reason)
     return plan
@@ -162,8 +162,8 @@ def colours_of(
 def _same_images(scene: Scene, plan: Optional[ColourPlan]) -> Callable[[], None]:
     """What raises SceneError where an image of the scene is another one than it was made from, and ImageError where one
     that is read for its colours alone is another one than now."""
-    known = {os.path.realpath(view.image) for view in scene.views}
-    files = [path for path in (plan.files if plan else ()) if os.path.realpath(path) not in known]
+    known = {real_path(view.image) for view in scene.views}
+    files = [path for path in (plan.files if plan else ()) if real_path(path) not in known]
     before = {path: content_of(path) for path in files}
 
     def require() -> None:

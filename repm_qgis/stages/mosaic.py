@@ -16,6 +16,7 @@ from ..contracts.arrays import IntArray
 from ..contracts.checks import as_text
 from ..contracts.errors import EmptyResultError, ImageError, OverlapError
 from ..contracts.options import DsmFuseOptions, MosaicOptions
+from ..contracts.paths import real_path
 from ..contracts.products import kept_folder
 from ..geometry.vertical import PLACED, PLACED_TAG
 from ..imagery.raster import opened, raster_identity
@@ -133,7 +134,7 @@ def _key(options: MosaicOptions, parameters: EngineParameters) -> str:
     """The fingerprint of all that the mosaic's cells depend on."""
     rasters = [raster_identity(path) if path else [] for path in (*options.dsms, *options.confidences)]
     scenes = [file_identity(path) for path in options.scenes]
-    chosen = options.resolution, options.crs, sorted(map(os.path.realpath, options.fixed))
+    chosen = options.resolution, options.crs, sorted(map(real_path, options.fixed))
     return fingerprint("mosaic", rasters, scenes, chosen, *parameters.in_fingerprint())
 
 
@@ -142,10 +143,10 @@ def _key(options: MosaicOptions, parameters: EngineParameters) -> str:
 
 def _surfaces(options: MosaicOptions, folder: str, progress: Progress, parameters: EngineParameters) -> List[Surface]:
     """The DSMs in their order, and then the scenes, each of which is fused."""
-    named = {os.path.realpath(path) for path in options.fixed}
+    named = {real_path(path) for path in options.fixed}
 
     def fixed(path: str) -> str:
-        return "named in FIXED" if os.path.realpath(path) in named else ""
+        return "named in FIXED" if real_path(path) in named else ""
 
     confidences = options.confidences or ("",) * len(options.dsms)
     found = [Surface(path, path, error, fixed(path) or _stated(path)) for path, error in zip(options.dsms, confidences)]

@@ -14,6 +14,7 @@ from osgeo import ogr
 from ..contracts.arrays import Altitudes, Bounds, FloatArray
 from ..contracts.errors import EmptyResultError
 from ..contracts.options import ReconstructOptions
+from ..contracts.paths import real_path
 from ..contracts.records import HeightMapRecord, ViewPair
 from ..files.vector import copy_layer, write_layer
 from ..fusion.map_offsets import with_agreeing_maps
@@ -140,7 +141,7 @@ def _log_pairs(scene: Scene, progress: Progress) -> None:
 def _complete(scene: Scene, folder: Path) -> bool:
     """Whether all height maps are there, as they were written, in the folder where they are wanted."""
     records = [record for tile in scene.tiles for record in tile.heights]
-    return all(Path(each.file).parent.resolve() == folder.resolve() and is_whole(each) for each in records)
+    return all(real_path(Path(each.file).parent) == real_path(folder) and is_whole(each) for each in records)
 
 
 def _pointed(
