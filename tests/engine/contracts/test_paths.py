@@ -51,7 +51,7 @@ def test_products_are_written_there(as_on_such_drives, told):
 
 def test_the_engine_asks_nowhere_else():
     """Every other module goes through real_path; the text in the installer is a program for another Python."""
-    engine = Path(__file__).resolve().parents[2] / "repm_qgis"
+    engine = Path(__file__).resolve().parents[3] / "repm_qgis"
     asking = {
         path.relative_to(engine).as_posix()
         for path in engine.rglob("*.py")
