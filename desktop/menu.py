@@ -10,7 +10,7 @@ from qgis.PyQt.QtWidgets import QAction
 
 from ..processing_provider import installation
 from ..processing_provider.base import resource
-from . import model_copy
+from . import batch_pages, model_copy
 from .control_points import ControlPointsDock
 from .documents import open_document
 from .first_steps import FirstSteps, show_once
@@ -35,6 +35,7 @@ class PluginMenu:
         self._grids: Optional[GeoidGridsDialog] = None
         self._offer: Any = None
         self._toolbox_actions = model_copy.register()
+        batch_pages.allow_missing_times()
         self._hillshades = Hillshades(iface=iface)
         self._dock: Optional[ControlPointsDock] = None
         self._editor: Optional[SurfaceEditingDock] = None
@@ -88,6 +89,7 @@ class PluginMenu:
         STEPS.forget()
         STEPS.edit_dsm = None
         model_copy.unregister(self._toolbox_actions)
+        batch_pages.require_times_again()
         self._hillshades.stop()
         self._actions, self._toolbox_actions = [], []
 

@@ -26,7 +26,7 @@ from qgis.PyQt.QtCore import QCoreApplication, QUrl
 from qgis.PyQt.QtGui import QIcon
 
 from ..repm_qgis.contracts.products import products_of
-from . import batch, engine, helppages, last_scene, settings, styles
+from . import engine, helppages, last_scene, settings, styles
 from .helptext import to_html
 from .kept import in_workspace
 from .language import language, said
@@ -301,11 +301,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             with in_workspace(self, parameters, context) as placed:
                 return self._processed(placed, context, feedback)
 
-        outputs = engine.in_python_thread(processed)
-        self._pages: dict[str, str] = {}
-        if batch.is_batch(feedback):
-            outputs, self._pages = batch.without_pages(self, outputs)
-        return outputs
+        return engine.in_python_thread(processed)
 
     def _processed(
         self, parameters: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
@@ -349,7 +345,6 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
     def postProcessAlgorithm(self, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> dict[str, Any]:
         if self._scene:
             last_scene.remember(self._scene)
-        batch.show(self, self._pages)
         return super().postProcessAlgorithm(context, feedback)
 
     def left_to_engine(self, parameters: Mapping[str, Any]) -> set[str]:

@@ -116,8 +116,12 @@ def load(plugin, feedback):
     """Runs an algorithm as the dialog does, and gives its results and the layers by output name."""
     from processing.gui.Postprocessing import handleAlgorithmResults
     from qgis.core import QgsApplication, QgsProcessingContext, QgsProcessingOutputLayerDefinition, QgsProject
+    from qgis.PyQt import sip
 
     project = QgsProject()
+    # QGIS 3.40 crashes in the destructor of a project whose styles were asked for (removeProjectStyle). The desktop's
+    # own one lives as long as QGIS; this one is never destroyed.
+    sip.transferto(project, None)
 
     def run(name, parameters, layers):
         context = QgsProcessingContext()

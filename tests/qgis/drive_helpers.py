@@ -4,6 +4,7 @@ import os
 import sys
 
 from qgis.core import QgsApplication
+from qgis.PyQt import sip
 from qgis.PyQt.QtCore import QTimer
 from qgis.PyQt.QtWidgets import QApplication
 from qgis.utils import iface, loadPlugin, plugins, startPlugin, unloadPlugin
@@ -64,8 +65,18 @@ def run_batch(dialog):
     panel.batchRowCount = lambda: len(rows)
     panel.parametersForRow = lambda row, *_, **__: (rows[row], True)
     batch.runAlgorithm()
-    FOUND["pages"] = [each.filename for each in resultsList.getResults()]
-    batch.close()
+    look_at_pages(batch, resultsList)
+
+
+@guarded
+def look_at_pages(batch, results, more=20):
+    """QGIS 3.22 comes back when all rows are done; later versions run them from the event loop."""
+    FOUND["pages"] = [each.filename for each in results.getResults()]
+    if len(FOUND["pages"]) < len(PLAN["rows"]) and more:
+        QTimer.singleShot(1000, lambda: look_at_pages(batch, results, more - 1))
+        return
+    if not sip.isdeleted(batch):  # QGIS 3.40 may have let it go when its rows were done
+        batch.close()
     finish()
 
 
