@@ -575,6 +575,16 @@ class Setting:
         self.MADE.append(name)
 
 
+class ProcessingResults:
+    """The results viewer's pages, each with its time."""
+
+    def __init__(self):
+        self.results = []
+
+    def addResult(self, icon, name, timestamp, result):
+        self.results.append((icon, name, timestamp, result))
+
+
 class QgsMapLayerStyle:
     def readFromLayer(self, layer):
         _need(layer, QgsMapLayer)
@@ -599,6 +609,7 @@ PROCESSING = {
     "processing.gui.AlgorithmDialogBase": {"AlgorithmDialogBase": AlgorithmDialogBase},
     "processing.gui.ParametersPanel": {"ParametersPanel": ParametersPanel},
     "processing.gui.ContextAction": {"ContextAction": ContextAction},
+    "processing.core.ProcessingResults": {"resultsList": ProcessingResults()},
 }
 
 
