@@ -9,17 +9,18 @@ A trial holds where
 * nothing hangs, and five seconds after the end no process of the run is left;
 * the same job, run again in the same workspace, ends with the same bytes.
 
-All moments and mutations come from one seed. ``--share 0.1`` tries a tenth of each kind.
+All moments and mutations come from one seed. ``--share 0.1`` tries a tenth of each kind. On Windows, Cancel is the line
+that the plugin sends, and kinds that need what only POSIX has are left out.
 """
 
 from __future__ import annotations
 
 import argparse
+import ctypes
 import hashlib
 import json
 import os
 import random
-import resource
 import shutil
 import signal
 import subprocess
@@ -41,6 +42,8 @@ ORPHANS_S = 5.0
 HANG_S = 180.0  # or as long as ten undisturbed runs, whichever is longer: a busy machine is no hang
 UNDISTURBED_S = 1800.0
 _ARRAY_HEADER = 128  # bytes before the values of a NumPy file
+WINDOWS = os.name == "nt"
+KILL = getattr(signal, "SIGKILL", signal.SIGTERM)  # on Windows, os.kill ends a process at once for any number
 MARK = "REPM_FAULTS_TRIAL"  # in the environment of every process of a trial, which is how orphans are found
 
 
@@ -51,6 +54,7 @@ class Score:
     tried: int = 0
     failures: List[str] = field(default_factory=list)
     skipped: str = ""
+    longest_s: float = 0.0  # from a cancel until all processes of the run were gone
 
     def add(self, problems: List[str], name: str) -> None:
         self.tried += 1
@@ -137,19 +141,34 @@ class Running:
         self._streams = [tempfile.TemporaryFile() for _ in range(2)]
         self._start = time.monotonic()
         environment = {**os.environ, MARK: self.mark, **keywords.pop("environment", {})}
+        apart: Dict[str, Any] = {"start_new_session": True}
+        if WINDOWS:
+            environment["REPM_ENGINE_WATCH_STDIN"] = "1"  # as the plugin starts it there
+            apart = {"creationflags": 0x200}  # CREATE_NEW_PROCESS_GROUP
         self.process = subprocess.Popen(
             command,
             cwd=ROOT,
             env=environment,
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE if WINDOWS else subprocess.DEVNULL,
             stdout=self._streams[0],
             stderr=self._streams[1],
-            start_new_session=True,
+            **apart,
             **keywords,
         )
 
+    def cancel(self) -> None:
+        """The line by which the plugin cancels on Windows."""
+        if self.process.stdin:
+            try:
+                self.process.stdin.write(b"cancel\n")
+                self.process.stdin.flush()
+            except OSError:
+                return  # it has ended
+
     def family(self) -> List[Tuple[int, str]]:
         """All living processes of this run with their command lines, wherever in the tree they are."""
+        if WINDOWS:
+            return [(pid, f"process {pid} of Windows") for pid in _descendants(self.process)]
         found = []
         for name in filter(str.isdigit, os.listdir("/proc")):
             try:
@@ -169,6 +188,11 @@ class Running:
         except subprocess.TimeoutExpired:
             code = -999
             self.kill_all()
+        if self.process.stdin:
+            try:
+                self.process.stdin.close()
+            except OSError:
+                pass  # a line of cancel that nobody was there to read
         seconds = time.monotonic() - self._start
         texts = []
         for stream in self._streams:
@@ -196,10 +220,52 @@ class Running:
     def kill_all(self) -> None:
         for pid, _ in self.family():
             try:
-                os.kill(pid, signal.SIGKILL)
-            except ProcessLookupError:
+                os.kill(pid, KILL)
+            except (ProcessLookupError, PermissionError):  # Windows: it is ending
                 continue
         self.process.wait()
+
+
+class _Entry(ctypes.Structure):
+    """PROCESSENTRY32W."""
+
+    _fields_ = [
+        ("size", ctypes.c_uint32),
+        ("usage", ctypes.c_uint32),
+        ("pid", ctypes.c_uint32),
+        ("heap", ctypes.c_void_p),
+        ("module", ctypes.c_uint32),
+        ("threads", ctypes.c_uint32),
+        ("parent", ctypes.c_uint32),
+        ("priority", ctypes.c_int32),
+        ("flags", ctypes.c_uint32),
+        ("name", ctypes.c_wchar * 260),
+    ]
+
+
+def _descendants(process: "subprocess.Popen[bytes]") -> List[int]:
+    """The living processes of Windows that a process started, whether it lives or not, and it itself if it does.
+
+    Windows keeps the parent's number when the parent ends, and nobody else gets the number while its handle is open.
+    """
+    kernel = ctypes.WinDLL("kernel32", use_last_error=True)  # type: ignore[attr-defined,unused-ignore]
+    kernel.CreateToolhelp32Snapshot.restype = ctypes.c_void_p
+    snapshot = ctypes.c_void_p(kernel.CreateToolhelp32Snapshot(0x2, 0))  # TH32CS_SNAPPROCESS
+    entry, parents = _Entry(size=ctypes.sizeof(_Entry)), {}
+    more = kernel.Process32FirstW(snapshot, ctypes.byref(entry))
+    while more:
+        parents[entry.pid] = entry.parent
+        more = kernel.Process32NextW(snapshot, ctypes.byref(entry))
+    kernel.CloseHandle(snapshot)
+    if process.poll() is not None:
+        parents.pop(process.pid, None)
+    found, left = [], [process.pid]
+    while left:
+        number = left.pop()
+        if number in parents:
+            found.append(number)
+        left += [pid for pid, parent in parents.items() if parent == number and pid not in (number, *found, *left)]
+    return found
 
 
 def digest(place: Path) -> Dict[str, str]:
@@ -258,9 +324,13 @@ def again(bench: Bench, place: Path, **options: Any) -> List[str]:
 
 
 def kills(bench: Bench, count: int, score: Score) -> None:
-    """kill -9 of the engine, a worker, the workers' server, or the whole group, at random moments of a run."""
+    """kill -9 of the engine, a worker, the workers' server, or the whole group, at random moments of a run.
+
+    On Windows, TerminateProcess of the engine or a worker: there is no server, and no signal to a group.
+    """
+    victims = ("engine", "worker") if WINDOWS else ("engine", "worker", "server", "group")
     for number in range(count):
-        victim = ("engine", "worker", "server", "group")[number % 4]
+        victim = victims[number % len(victims)]
         place = bench.place()
         running = bench.start("pipeline", bench.job(place))
         time.sleep(bench.random.uniform(0.0, 1.05 * bench.seconds))
@@ -280,7 +350,7 @@ def deaths_at_view_heights(bench: Bench, count: int, score: Score) -> None:
     """A worker dies (SIGKILL, or SIGSEGV as of a crash) while the rasters of all height maps are written: no empty
     folder, and no exit code 0."""
     for number in range(count):
-        death = (signal.SIGKILL, signal.SIGSEGV)[number % 2]
+        death = signal.Signals((KILL, signal.SIGSEGV)[number % 2])
         place = bench.place()
         views = place / "views"
         running = bench.start("pipeline", bench.job(place, view_heights=str(views)))
@@ -366,16 +436,23 @@ def kills_of_qgis(bench: Bench, count: int, score: Score) -> None:
         problems = ended.problems(killed=True) + running.orphans() + state_of(place, bench.reference)
         if ended.code == 0 and digest(place) != bench.reference:
             problems.append("exit code 0 with another result")
-        elif ended.code not in (0, -signal.SIGKILL):
+        elif ended.code not in (0, -KILL):
             problems.append(f"exit code {ended.code}: {ended.errors.strip()[-160:]}")
         score.add(problems + again(bench, place), f"kill -9 of qgis_process at {moment:.2f} s")
         shutil.rmtree(place, ignore_errors=True)
 
 
-def _kill(running: Running, victim: str, chance: random.Random, number: int = signal.SIGKILL) -> bool:
+def _kill(running: Running, victim: str, chance: random.Random, number: int = KILL) -> bool:
     """Send a signal to the victim; False where it is not there at this moment."""
     family = running.family()
     engine = running.process.pid
+    if WINDOWS:
+        chosen = [pid for pid, _ in family if (pid == engine) == (victim == "engine")]
+        try:
+            os.kill(chance.choice(sorted(chosen)), number)
+        except (IndexError, OSError):  # none there, or it is ending
+            return False
+        return True
     others = [pid for pid, words in family if pid != engine and "resource_tracker" not in words]
     children = {pid: _parent(pid) for pid in others}
     servers = [pid for pid in others if children[pid] == engine]
@@ -401,7 +478,10 @@ def _parent(pid: int) -> int:
 
 
 def cancels(bench: Bench, count: int, score: Score) -> None:
-    """SIGTERM, SIGTERM twice, and SIGINT at random moments, half of them within the first second."""
+    """SIGTERM, SIGTERM twice, and SIGINT at random moments, half of them within the first second.
+
+    On Windows, the line by which the plugin cancels.
+    """
     for number in range(count):
         place = bench.place()
         running = bench.start("pipeline", bench.job(place))
@@ -409,13 +489,18 @@ def cancels(bench: Bench, count: int, score: Score) -> None:
         time.sleep(moment)
         signals = ((signal.SIGTERM,), (signal.SIGTERM, signal.SIGTERM), (signal.SIGINT,))[number % 3]
         start = time.monotonic()
-        for which in signals:
+        if WINDOWS:
+            running.cancel()
+        for which in () if WINDOWS else signals:
             try:
                 os.kill(running.process.pid, which)
             except ProcessLookupError:
                 break
         ended = running.end()
-        problems = ended.problems() + running.orphans() + state_of(place, bench.reference)
+        orphans = running.orphans()
+        if ended.code:
+            score.longest_s = max(score.longest_s, time.monotonic() - start)
+        problems = ended.problems() + orphans + state_of(place, bench.reference)
         # An engine that has not yet begun to listen ends by the signal itself: there is nothing of it to lose.
         if ended.code in (-signal.SIGTERM, -signal.SIGINT) and not ended.messages:
             problems = [text for text in problems if not text.startswith("exit code")]
@@ -426,7 +511,7 @@ def cancels(bench: Bench, count: int, score: Score) -> None:
         parts = [p.name for p in place.rglob("*.part*")]
         score.add(
             problems + [f"left behind: {part}" for part in parts],
-            f"{signals[0].name} x {len(signals)} at {moment:.2f} s",
+            f"{'a line' if WINDOWS else signals[0].name} x {len(signals)} at {moment:.2f} s",
         )
         shutil.rmtree(place, ignore_errors=True)
 
@@ -486,6 +571,8 @@ def side_by_side(bench: Bench, count: int, score: Score) -> None:
 
 def memory_limits(bench: Bench, count: int, score: Score) -> None:
     """Address space bounded from 0.3 to 3 GiB for every process of the run."""
+    import resource
+
     for _ in range(count):
         place = bench.place()
         limit = int(bench.random.uniform(0.3, 3.0) * 2**30)
@@ -546,12 +633,25 @@ KINDS: Dict[str, Tuple[Callable[[Bench, int, Score], None], int]] = {
 }
 
 
+NOT_ON_WINDOWS = {
+    "kill -9 of QGIS": "no qgis_process here",
+    "workspace renamed": "Windows renames no folder with an open file in it",
+    "full or read-only disk": "tmpfs is Linux's",
+    "memory limit": "Windows does not bound the address space",
+    "link or pipe in a received workspace": "Windows has no pipes with names in folders, and links need rights",
+    "mutated scene, job or table": "its processes need an alarm clock",
+}
+
+
 def campaign(share: float, seed: int, only: Optional[str]) -> Iterator[Tuple[str, Score]]:
     with tempfile.TemporaryDirectory(prefix="repm-faults-") as folder:
         bench = Bench(Path(folder), seed)
         for name, (work, count) in KINDS.items():
             if only in (None, name):
-                score = Score()
+                score = Score(skipped=NOT_ON_WINDOWS.get(name, "") if WINDOWS else "")
+                if score.skipped:
+                    yield name, score
+                    continue
                 work(bench, max(1, round(share * count)), score)
                 yield name, score
 
@@ -567,6 +667,7 @@ def main() -> int:
     for name, score in campaign(options.share, options.seed, options.only):
         held = score.tried - len(score.failures)
         words = f"skipped: {score.skipped}" if score.skipped else f"tried {score.tried:5d}   held {held:5d}"
+        words += f"   longest {score.longest_s:.1f} s until all was gone" if score.longest_s else ""
         sys.stdout.write(f"{name:<38} {words}\n")
         sys.stdout.flush()
         failed += len(score.failures)
