@@ -1,19 +1,22 @@
 """Simulated pairs with water and clouds in them, and where they are: for the benchmark and the tests.
 
 Water has its level and no texture of its own: what a view shows of it is the sensor's noise (``still``), ripples that
-are others a second later (``ripples``), or the sun's glint on them (``glint``). Clouds are textured, half transparent
-at their rims, and far above the ground: each view has them in front of other ground.
+are others a second later (``ripples``), the sun's glint on them (``glint``), or them on water that is as bright as much
+of the land (``murky``). Clouds are textured, half transparent at their rims, and far above the ground: each view has
+them in front of other ground.
 """
 
 from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
-from typing import List, Sequence, Tuple
+from typing import List, Mapping, Sequence, Tuple
 
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
+from benchmarks.colour_scene import RATIO
+from benchmarks.water_spectra import BANDS, in_band, land_cover
 from repm_qgis.geometry.frames import geodetic_from_projected, projected_from_geodetic
 from repm_qgis.imagery.raster import created
 from repm_qgis.rpc.model import Rpc
@@ -31,14 +34,15 @@ from repm_qgis.simulation.scene import (
     write_truth,
 )
 from repm_qgis.simulation.sensor import Look, PushbroomView
-from repm_qgis.simulation.surface import SimulatedSurface, fractal
+from repm_qgis.simulation.surface import SimulatedSurface, Sun, fractal
 
 LAND, RIM = 0, 9
-WATER = {"still": 1, "ripples": 2, "glint": 3}
+WATER = {"still": 1, "ripples": 2, "glint": 3, "murky": 5}
 CLOUD = 4
 
 _WATER_DN = 150.0  # haze and little more
-_RIPPLES_DN = {"still": 0.0, "ripples": 8.0, "glint": 120.0}
+_RIPPLES_DN = {"still": 0.0, "ripples": 8.0, "glint": 120.0, "murky": 30.0}
+_MURKY_DN = 450.0  # and more
 _CLOUD_DN = 3300.0
 _RIM_ALPHA = (0.02, 0.5)
 
@@ -61,10 +65,12 @@ class Disturbed:
     images: List[str]
     truth: str
     classes: np.ndarray
+    xs: List[str]
 
 
 LAKES = {"still": (-0.25, 0.24, 0.1), "ripples": (0.24, 0.24, 0.1), "glint": (0.02, -0.26, 0.1)}
 """East, north and radius as shares of the scene's side."""
+MORE_LAKES = {**LAKES, "murky": (0.0, 0.03, 0.1)}
 
 
 def make_pair(
@@ -75,16 +81,24 @@ def make_pair(
     water: bool = True,
     clouds: bool = True,
     river: bool = False,
+    xs: bool = False,
+    sun_deg: float = Sun().elevation_deg,
 ) -> Disturbed:
-    """Simulate a pair 20 degrees apart with three lakes, or a river in their place, and two clouds, or without them."""
+    """Simulate a pair 20 degrees apart with three lakes, or a river in their place, and two clouds, or without them.
+
+    ``xs``: with a fourth lake, of murky water, and a multispectral image of a quarter of the resolution beside each
+    view, its name in the vendors' manner. ``sun_deg`` is the sun's elevation.
+    """
     spec = SceneSpec.default(kind, size, seed)
+    spec = replace(spec, sun=replace(spec.sun, elevation_deg=sun_deg))
     gsd = spec.sensor.looks[0].gsd_m
     spec = replace(spec, sensor=replace(spec.sensor, looks=(Look(10.0, gsd), Look(-10.0, gsd))))
     views = make_views(spec)
     surface = make_surface(spec, surface_bounds(spec, views), Silent())
     lakes = np.zeros(surface.height.shape, np.uint8)
     if water or river:
-        surface, lakes = (_with_river if river else _with_lakes)(surface, size * gsd)
+        lakes_of = MORE_LAKES if xs else LAKES
+        surface, lakes = _with_river(surface, size * gsd) if river else _with_lakes(surface, size * gsd, lakes_of)
     fits = fit_view_rpcs(views, surface.height_range())
     square = common_square(surface, views, spec.surface_step)
     os.makedirs(folder, exist_ok=True)
@@ -100,7 +114,43 @@ def make_pair(
         images.append(os.path.join(folder, f"img_{number + 1:02d}.tif"))
         _write(images[-1], pixels, fit.rpc.shifted(-bias[0], -bias[1]))
         alphas.append(alpha)
-    return Disturbed(images, truth, _classes(surface, lakes, square, spec.surface_step, [f.rpc for f in fits], alphas))
+    classes = _classes(surface, lakes, square, spec.surface_step, [f.rpc for f in fits], alphas)
+    beside = _multispectral(folder, spec, surface, lakes, clouds) if xs else []
+    return Disturbed(images, truth, classes, beside)
+
+
+def _multispectral(
+    folder: str, spec: SceneSpec, surface: SimulatedSurface, lakes: np.ndarray, clouds: bool
+) -> List[str]:
+    """The multispectral images, with RPCs of their own and the panchromatic images' pointing errors."""
+    looks = tuple(replace(look, gsd_m=RATIO * look.gsd_m) for look in spec.sensor.looks)
+    small = replace(spec, size=spec.size // RATIO, sensor=replace(spec.sensor, looks=looks))
+    views, cover, paths = make_views(small), land_cover(surface, spec), []
+    fits = fit_view_rpcs(views, surface.height_range())
+    for number, (view, fit, bias) in enumerate(zip(views, fits, pointing_errors(2, spec.seed) / RATIO)):
+        paths.append(os.path.join(folder, f"img_{number + 1:02d}_XS.tif"))
+        planes, seen = [], _rippled(surface, lakes, spec.seed + number)
+        for index, name in enumerate(BANDS):
+            lit = in_band(surface, spec, name, cover, _reflected(seen, lakes, name))
+            strips = render_view(lit, view, spec.seed + 50 * index + number, Silent())
+            pixels, alpha = np.concatenate([strip for _, strip in strips]), np.zeros(view.size[::-1])
+            tone = BANDS[name].white_dn / surface.light.sun_dn
+            for puff, cloud in enumerate(_clouds(spec.size * spec.sensor.looks[0].gsd_m) if clouds else ()):
+                pixels, alpha = _clouded(pixels, alpha, view, spec, cloud, number, puff, tone)
+            planes.append(pixels)
+        _write(paths[-1], np.stack(planes), fit.rpc.shifted(-bias[0], -bias[1]), tuple(BANDS))
+    return paths
+
+
+def _reflected(seen: SimulatedSurface, lakes: np.ndarray, name: str) -> np.ndarray:
+    """What the water of a view's surface reflects in a band, NaN on land: its own colour, and the waves' grey."""
+    band = BANDS[name]
+    found = np.full(lakes.shape, np.nan, np.float32)
+    for kind, number in WATER.items():
+        own, grey = (band.murky, _MURKY_DN) if kind == "murky" else (band.clear, _WATER_DN)
+        waves = (seen.radiance - grey) / seen.light.sun_dn
+        found = np.where(lakes == number, np.maximum(own + waves, 0.002), found)
+    return found
 
 
 def _clouds(side: float) -> Sequence[Cloud]:
@@ -110,14 +160,16 @@ def _clouds(side: float) -> Sequence[Cloud]:
     )
 
 
-def _with_lakes(surface: SimulatedSurface, side: float) -> Tuple[SimulatedSurface, np.ndarray]:
+def _with_lakes(
+    surface: SimulatedSurface, side: float, lakes_of: Mapping[str, Tuple[float, float, float]]
+) -> Tuple[SimulatedSurface, np.ndarray]:
     """The surface with level water in it, and each node's lake (0 none)."""
     rows, columns = surface.height.shape
     x = (np.arange(columns) - (columns - 1) / 2) * surface.cell
     y = ((rows - 1) / 2 - np.arange(rows)) * surface.cell
     lakes = np.zeros(surface.height.shape, np.uint8)
     height = surface.height.copy()
-    for name, (east, north, radius) in LAKES.items():
+    for name, (east, north, radius) in lakes_of.items():
         dx, dy = x[None, :] - east * side, y[:, None] - north * side
         angle = np.arctan2(dy, dx)
         shore = radius * side * (1 + 0.15 * np.sin(3 * angle + 1) + 0.08 * np.sin(7 * angle))
@@ -154,15 +206,23 @@ def _rippled(surface: SimulatedSurface, lakes: np.ndarray, seed: int) -> Simulat
     waves = fractal(rng, lakes.shape, surface.cell, 8.0, 1.0, 0.5)
     for name, number in WATER.items():
         strength = _RIPPLES_DN[name]
-        tone = _WATER_DN + strength * (np.maximum(waves, -1.0) + (1.0 if name == "glint" else 0.0))
+        calm = _MURKY_DN if name == "murky" else _WATER_DN
+        tone = calm + strength * (np.maximum(waves, -1.0) + (1.0 if name == "glint" else 0.0))
         radiance = np.where(lakes == number, np.maximum(tone, 100.0), radiance)
     return replace(surface, radiance=radiance.astype(np.float32))
 
 
 def _clouded(
-    pixels: np.ndarray, alpha: np.ndarray, view: PushbroomView, spec: SceneSpec, cloud: Cloud, number: int, index: int
+    pixels: np.ndarray,
+    alpha: np.ndarray,
+    view: PushbroomView,
+    spec: SceneSpec,
+    cloud: Cloud,
+    number: int,
+    index: int,
+    tone: float = 1.0,
 ) -> Tuple[np.ndarray, np.ndarray]:
-    """An image with a cloud before it, and the opacity of all clouds so far."""
+    """An image with a cloud before it, which is so bright in its band, and the opacity of all clouds so far."""
     middle = projected_from_geodetic(spec.crs, np.array([[spec.lon, spec.lat, 0.0]]))[0]
     rows, columns = pixels.shape
     nodes = (np.linspace(0, rows - 1, 12), np.linspace(0, columns - 1, 12))
@@ -180,15 +240,18 @@ def _clouded(
     puff = puffs[row, column]
     own = np.clip((1.0 + 0.15 * puff - np.hypot(east, north) / cloud.radius) / 0.3, 0.0, 1.0)
     rng = np.random.default_rng([spec.seed, 31, number, index])
-    bright = _CLOUD_DN + 350.0 * puff
+    bright = tone * (_CLOUD_DN + 350.0 * puff)
     mixed = pixels * (1 - own) + own * (bright + np.sqrt(0.05 * bright) * rng.standard_normal(pixels.shape))
     return np.clip(np.rint(mixed), 1, 4095).astype(np.uint16), 1 - (1 - alpha) * (1 - own)
 
 
-def _write(path: str, pixels: np.ndarray, rpc: Rpc) -> None:
-    with created(path, pixels.shape, np.dtype(np.uint16), 1, None, "", nodata=None, compress=False) as dataset:
+def _write(path: str, pixels: np.ndarray, rpc: Rpc, names: Tuple[str, ...] = ()) -> None:
+    planes = pixels.reshape(-1, *pixels.shape[-2:])
+    frame = planes.shape[1:], np.dtype(np.uint16), len(planes), None, ""
+    with created(path, *frame, nodata=None, descriptions=names, compress=False) as dataset:
         dataset.set_metadata(rpc_tags(rpc), "RPC")
-        dataset.write(pixels)
+        for band, plane in enumerate(planes, start=1):
+            dataset.write(plane, 0, 0, band)
 
 
 def _classes(

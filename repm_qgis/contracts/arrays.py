@@ -56,10 +56,14 @@ class Window(NamedTuple):
         """This window, counted from the first column and row of an outer one."""
         return Window(self.col - outer.col, self.row - outer.row, self.width, self.height)
 
+    @property
+    def slices(self) -> Tuple[slice, slice]:
+        """Rows and columns of this window in the whole array."""
+        return slice(self.row, self.row + self.height), slice(self.col, self.col + self.width)
+
     def inside(self, outer: Window) -> Tuple[slice, slice]:
         """Rows and columns of this window in an array that holds the pixels of an outer one."""
-        col, row, width, height = self.within(outer)
-        return slice(row, row + height), slice(col, col + width)
+        return self.within(outer).slices
 
 
 class Bounds(NamedTuple):

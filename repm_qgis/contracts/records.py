@@ -449,7 +449,7 @@ class FusionFacts(Record):
     outliers, ``needles`` stood far above all others on a single map's word. ``points`` are the cloud's,
     ``resolution`` is the side of a cell in units of the ``crs``. ``dem_offset`` is None where no DEM was given, or
     none that could be compared. ``water`` are the bodies of water, of ``water_m2`` square metres together, that were
-    found where the options asked for it.
+    found where the options asked for it, by the ``water_evidence``.
     """
 
     cells: int
@@ -466,6 +466,7 @@ class FusionFacts(Record):
     needles: int = 0
     water: int = 0
     water_m2: float = 0.0
+    water_evidence: str = ""
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Iterator, Tuple
+from typing import Iterator, Optional, Tuple
 
 import numpy as np
 
-from ..contracts.arrays import Altitudes, FloatArray, FloatImage
+from ..contracts.arrays import Altitudes, FloatArray, FloatImage, Window
 from ..geometry.cell_grid import CellGrid
 from ..geometry.footprints import ray_slope
 from ..geometry.frames import geodetic_from_projected
@@ -70,12 +70,16 @@ def lights(
     height: FloatImage,
     parameters: BrightnessParameters = FUSION.brightness,
     visibility: VisibilityParameters = FUSION.visibility,
+    asked: Optional[Window] = None,
 ) -> Iterator[FloatImage]:
-    """The brightness (H, W) that each of these views shows, NaN where it does not see a cell."""
+    """The brightness (H, W) that each of these views shows, NaN where it does not see a cell.
+
+    With a window ``asked``, that of its cells alone; what stands on the others may hide them.
+    """
     known = np.isfinite(height)
     if not known.any():
         return
-    count = 0
+    count, part = 0, asked.slices if asked else (slice(None), slice(None))
     to_geodetic = partial(geodetic_from_projected, witnesses.crs)
     for view, stretch, slope in zip(witnesses.views, witnesses.stretches, witnesses.slopes):
         if count == parameters.views:
@@ -89,9 +93,9 @@ def lights(
             continue
         with opened_masked(view.image, view.mask) as dataset:
             # OpenCV resamples at 32nds of a pixel, counted from the window that is read: these are the same in any.
-            pixels = pixels_on(view, grid, height, witnesses.crs, visibility, witnesses.altitudes)
+            pixels = pixels_on(view, grid, height, witnesses.crs, visibility, witnesses.altitudes)[part]
             values = sample_source(dataset, view.band, np.round(pixels * 32) / 32, "bilinear")
         hidden = blocked(slope, grid, height, visibility.clearance_m, parameters.hidden_cells)
         light = (values - np.float32(stretch.low)) / np.float32(stretch.high - stretch.low)
         count += 1
-        yield np.where(known & ~hidden, light, np.float32(np.nan))
+        yield np.where((known & ~hidden)[part], light, np.float32(np.nan))

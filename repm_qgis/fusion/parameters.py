@@ -158,6 +158,16 @@ class WaterParameters(Parameters):
     dark_percentile: float = 20.0  # of the brightness of land: water is darker
     flat: float = 0.5  # of the usual roughness of land: what is smoother shows noise alone
     window_cells: int = 5  # side of the window of a roughness
+    index_bins: int = 200  # of the index of water from -1 to 1: narrower than its noise
+    most_cuts: int = 8  # of the index, each through the upper part of the one before
+    enriched: float = (
+        3.0  # times as often must what is water lie in ground that could not be matched as in other ground
+    )
+    valley: float = (
+        0.5  # of the frequency of water's own index, and less, at the threshold: shadows run on, water stands apart
+    )
+    infrared_percentile: float = 50.0  # of land: what is brighter in the near infrared is a cloud or snow
+    least_empty: float = 0.5  # of a body: roofs of metal may look like water, but are matched
     shore_m: float = 3.0  # width of the strip around water that says how high the water is,
     shore_cells: int = 3  # but at least so many cells
     shore_percentile: float = 10.0  # of its heights: banks and trees are higher, a tenth may be wrong and too low
@@ -170,6 +180,8 @@ class WaterParameters(Parameters):
     fall_scatters: float = 3.0  # by so many deviations of its parts must a river fall
     most_cells: int = 4_000_000  # in which water is looked for; larger DSMs are reduced
     most_nodes: int = 20_000  # cells of a body between which lengths are measured
+    part_m: float = 2000.0  # side of the ground whose pixels are read at once: bounds the memory
+    least_part: int = 64  # and not fewer cells
 
 
 @dataclass(frozen=True)

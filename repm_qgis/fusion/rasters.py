@@ -61,6 +61,7 @@ class _Products:
         crop: Window,
         folder: str,
         deviation_m: Optional[float],
+        evidence: str = "",
     ) -> _Products:
         datum, cells, shape = layout.datum, layout.grid.part(crop), (crop.height, crop.width)
         wkt = pyproj.CRS.from_user_input(layout.crs).to_wkt()
@@ -70,6 +71,8 @@ class _Products:
             metadata[DEVIATION_TAG] = f"{deviation_m:.3f}"
         if scene.placed:
             metadata[PLACED_TAG] = scene.placed
+        if evidence:
+            metadata["REPM_WATER"] = evidence
         taken = {view.time.date().isoformat() for view in scene.views if view.time is not None}
         if taken:
             metadata[DAYS] = " ".join(sorted(taken))
@@ -126,7 +129,8 @@ def write_products(
     crop, grid = joined.crop, layout.grid.part(joined.crop)
     valid, matched, levels = 0, 0, []
     with ExitStack() as stack:
-        products = _Products.opened(stack, options, scene, layout, crop, folder, deviation_m)
+        evidence = water.evidence if water else ""
+        products = _Products.opened(stack, options, scene, layout, crop, folder, deviation_m, evidence)
         for block in blocks:
             surface, own = block.surface(), block.own
             level = water.within(own) if water else None

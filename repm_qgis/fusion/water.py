@@ -1,15 +1,17 @@
 """Water of a surface: where it is, and how high, from what matching left empty, the images, and the shore.
 
 Over water a matcher finds nothing that holds (matching/reliability.py), so water is empty. But so are clouds, haze and
-changed ground. Water is also darker than nearly all of the land, and no rougher than the images' noise. Shadows of
-houses are both, too, but narrow or small. The shore says how high the water is. Where that falls along the water by
-more than it scatters, it is a river, which nowhere rises along its flow.
+changed ground. Where multispectral images show a cell, their index of water says which of these it is
+(fusion/water_index.py), and also where something was matched on water. Elsewhere, water is darker than nearly all of
+the land, and no rougher than the images' noise. Shadows of houses are both, too, but narrow or small. The shore says
+how high the water is. Where that falls along the water by more than it scatters, it is a river, which nowhere rises
+along its flow.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Callable, Iterator, List, Sequence, Tuple
+from typing import Any, Callable, Iterator, List, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -23,6 +25,9 @@ from .brightness import Witnesses, lights
 from .parameters import FUSION, FusionParameters, WaterParameters
 from .provenance import SurfaceCells
 from .surface import Block
+from .water_index import WaterIndex, index_of, parts, wet_above
+
+DARK = "empty, dark and smooth"
 
 
 @dataclass(frozen=True)
@@ -42,11 +47,12 @@ class WaterBody:
 @dataclass(frozen=True)
 class Water:
     """The water of a grid. ``level`` (rows, columns) is its height, m above the ellipsoid, NaN on land, on cells that
-    are ``step`` x ``step`` cells of the grid."""
+    are ``step`` x ``step`` cells of the grid. ``evidence`` is what told it from land, for the products' metadata."""
 
     step: int
     level: FloatImage
     bodies: Tuple[WaterBody, ...]
+    evidence: str = DARK
 
     def within(self, window: Window) -> FloatImage:
         """(H, W) levels of the water on the cells of a window, NaN on land."""
@@ -64,8 +70,10 @@ def find_water(
     witnesses: Witnesses,
     check: Callable[[], None],
     parameters: FusionParameters = FUSION,
+    spectra: Optional[WaterIndex] = None,
 ) -> Water:
-    """The water among the surface's ``blocks``, which cover the ``grid``; images say how bright and how rough it is.
+    """The water among the surface's ``blocks``, which cover the ``grid``; images say how bright and how rough it is,
+    ``spectra`` of which colour.
 
     Raises ImageError where an image cannot be read.
     """
@@ -90,22 +98,22 @@ def find_water(
         if shore.heights.size >= p.least_shore:
             assumed[shore.part][shore.inside] = np.percentile(shore.heights, p.shore_percentile)
         check()
-    looks = _dark_and_flat(witnesses, cells, assumed, land, parameters)
+    looks, evidence = _looks_of_water(witnesses, spectra, cells, assumed, land, empty, check, parameters)
     side = 2 * max(int(round(p.narrowest_m / cells.cell / 4)), 1) + 1
-    alike = cv2.boxFilter((empty & looks).astype(np.float32), -1, (side, side), borderType=cv2.BORDER_CONSTANT)
-    water = _broad(empty & (alike > p.share), p.narrowest_m / cells.cell, p.least_m2 / cells.cell**2)
+    alike = cv2.boxFilter(looks.astype(np.float32), -1, (side, side), borderType=cv2.BORDER_CONSTANT)
+    water = _broad((empty | looks) & (alike > p.share), p.narrowest_m / cells.cell, p.least_m2 / cells.cell**2)
     # The windows of both questions reach over the bank: what is empty so far beside water belongs to it.
     rim = cv2.dilate(water.astype(np.uint8), _disc(side // 2 + p.window_cells // 2 + 1)) > 0
     water = large_components(water | (rim & empty), p.least_m2 / cells.cell**2)
     level, bodies = nothing.level.copy(), []
     for shore in _shores(water, height, cells.cell, p):
         check()
-        if shore.heights.size >= p.least_shore:
+        if shore.heights.size >= p.least_shore and shore.empty >= p.least_empty:
             whole = _without_islands(shore.inside, p.island_m2 / cells.cell**2)
             own = water_levels(whole, shore.rows, shore.columns, shore.heights, cells.cell, p)
             level[shore.part] = np.where(whole, own, level[shore.part])
             bodies.append(WaterBody(float(whole.sum() * cells.cell**2), float(np.nanmin(own)), float(np.nanmax(own))))
-    return Water(step, level, tuple(bodies))
+    return Water(step, level, tuple(bodies), evidence)
 
 
 def matched_heights(surface: SurfaceCells) -> FloatImage:
@@ -162,19 +170,55 @@ def _without_islands(inside: Mask, most: float) -> Mask:
     return ~around[1:-1, 1:-1]
 
 
+def _looks_of_water(
+    witnesses: Witnesses,
+    spectra: Optional[WaterIndex],
+    grid: CellGrid,
+    height: FloatImage,
+    land: Mask,
+    empty: Mask,
+    check: Callable[[], None],
+    parameters: FusionParameters,
+) -> Tuple[Mask, str]:
+    """Which cells look like water, and what says so: the index of water wherever an image shows it, of matched cells as
+    well, and darkness of ``empty`` ones elsewhere."""
+    looks, evidence, known = np.zeros(grid.shape, bool), "", np.zeros(grid.shape, bool)
+    if spectra is not None and spectra.views:
+        index, infrared = index_of(spectra, grid, height, check, parameters)
+        known = np.isfinite(index)
+        looks, threshold = wet_above(index, infrared, land, empty, grid.cell, spectra.calibrated, parameters.water)
+        if known[empty].any():
+            evidence = "no NDWI of water" if threshold is None else f"NDWI above {threshold:.2f}"
+    if known[empty].all():
+        return looks, evidence
+    dark = empty & ~known & _dark_and_flat(witnesses, grid, height, land, check, parameters)
+    if evidence and dark.any():
+        evidence = f"{evidence}; elsewhere {DARK}"
+    return looks | dark, evidence or DARK
+
+
 def _dark_and_flat(
-    witnesses: Witnesses, grid: CellGrid, height: FloatImage, land: Mask, parameters: FusionParameters
+    witnesses: Witnesses,
+    grid: CellGrid,
+    height: FloatImage,
+    land: Mask,
+    check: Callable[[], None],
+    parameters: FusionParameters,
 ) -> Mask:
     """Which cells are dark and flat, compared with land that was matched; only what two views see can be."""
-    p, dark, rough = parameters.water, [], []
-    for light in lights(witnesses, grid, height, parameters.brightness, parameters.visibility):
-        dark.append(light)
-        rough.append(_roughness(light, p.window_cells))
-    if len(dark) < 2:
-        return np.zeros(grid.shape, bool)
-    each = np.stack(dark)
-    twice = np.isfinite(each).sum(axis=0) >= 2
-    light, texture = median_of_known(each), median_of_known(np.stack(rough))
+    p, bright = parameters.water, parameters.brightness
+    light, texture = np.full((2, *grid.shape), np.nan, np.float32)
+    twice = np.zeros(grid.shape, bool)
+    for own, near, wide in parts(grid, p.window_cells // 2, parameters):
+        check()
+        place = grid.part(wide), height[wide.slices]
+        seen = list(lights(witnesses, *place, bright, parameters.visibility, near.within(wide)))
+        if len(seen) < 2:
+            continue
+        inner, each = own.inside(near), np.stack(seen)
+        twice[own.slices] = (np.isfinite(each).sum(axis=0) >= 2)[inner]
+        light[own.slices] = median_of_known(each)[inner]
+        texture[own.slices] = median_of_known(np.stack([_roughness(one, p.window_cells) for one in seen]))[inner]
     known = land & np.isfinite(light) & np.isfinite(texture)
     if not known.any():
         return np.zeros(grid.shape, bool)
@@ -203,11 +247,12 @@ def _roughness(light: FloatImage, side: int) -> FloatImage:
 
 @dataclass(frozen=True)
 class _Shore:
-    """A body's ``part`` of the grid with a margin, its cells in it, and the matched heights of its shore (m) with
-    their places in the part."""
+    """A body's ``part`` of the grid with a margin, its cells in it, the share of them without a matched height, and the
+    matched heights of its shore (m) with their places in the part."""
 
     part: Tuple[slice, slice]
     inside: Mask
+    empty: float
     rows: IntArray
     columns: IntArray
     heights: FloatArray
@@ -225,8 +270,10 @@ class _Shore:
         )
         inside = numbers[part] == number  # in its part alone: there may be many components
         around = cv2.dilate(inside.astype(np.uint8), _disc(reach)) > 0
-        rows, columns = np.nonzero(around & np.isfinite(height[part]))
-        return cls(part, inside, rows, columns, height[part][rows, columns].astype(np.float64))
+        known = np.isfinite(height[part])
+        rows, columns = np.nonzero(around & known & ~inside)
+        heights = height[part][rows, columns].astype(np.float64)
+        return cls(part, inside, 1.0 - float(known[inside].mean()), rows, columns, heights)
 
 
 def _shores(water: Mask, height: FloatImage, cell: float, p: WaterParameters) -> Iterator[_Shore]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import List, Optional, Tuple
+from typing import List, Optional, Sequence, Tuple
 
 from osgeo import gdal
 
@@ -11,11 +11,20 @@ from ..contracts.checks import as_text
 from .raster import COLOURS, colour_interpretations
 
 _NAMES = ("red", "green", "blue")
+_INFRARED = "near infrared"
+_GDALS_INFRARED = getattr(gdal, "GCI_NIRBand", -1)  # since GDAL 3.10
 _NOT_PLAIN = ("edge", "coastal", "deep")  # words of bands that are called after a colour and are not it
+_NEAR_INFRARED = re.compile(r"\b(?:nir|near[-_ ]?infra[-_ ]?red)(?:[-_ ]?1)?\b(?![-_ ]?2)", re.ASCII)
 # The order of bands in vendors' files, by the satellites' names (imagery/sensors.py) and the number of bands.
 _RED_FIRST = re.compile(r"Pleiades|SPOT [67]")  # red, green, blue, near infrared: Pleiades Imagery User Guide, 2012
 _BLUE_FIRST = re.compile(r"WorldView|GeoEye|QuickBird|IKONOS|KOMPSAT|SkySat|ZY-3|GF-7")  # blue, green, red, ...
 _COASTAL_FIRST = re.compile(r"WorldView-[23]")  # eight bands: coastal, blue, green, yellow, red, ...
+_ORDERS = (
+    (_RED_FIRST, ("red", "green", "blue")),
+    (_RED_FIRST, ("red", "green", "blue", _INFRARED)),
+    (_BLUE_FIRST, ("blue", "green", "red", _INFRARED)),
+    (_COASTAL_FIRST, ("coastal", "blue", "green", "yellow", "red", "red edge", _INFRARED, "near infrared 2")),
+)
 
 
 def natural_bands(dataset: gdal.Dataset, sensor: str = "") -> Optional[Tuple[int, int, int]]:
@@ -27,18 +36,39 @@ def natural_bands(dataset: gdal.Dataset, sensor: str = "") -> Optional[Tuple[int
     if all(colour in meanings for colour in COLOURS):
         red, green, blue = (meanings.index(colour) + 1 for colour in COLOURS)
         return red, green, blue
-    described = [_colour_of(as_text(dataset.GetRasterBand(band + 1).GetDescription())) for band in range(len(meanings))]
-    if all(described.count(name) == 1 for name in _NAMES):
-        red, green, blue = (described.index(name) + 1 for name in _NAMES)
-        return red, green, blue
+    described = [_colour_of(text) for text in _descriptions(dataset)]
+    order = described if all(described.count(name) == 1 for name in _NAMES) else _vendors_order(dataset, sensor)
+    if not order:
+        return None
+    red, green, blue = (order.index(name) + 1 for name in _NAMES)
+    return red, green, blue
+
+
+def water_bands(dataset: gdal.Dataset, sensor: str = "") -> Optional[Tuple[int, int]]:
+    """The numbers of an image's green and near infrared bands, which tell water from land; None where nothing says
+    which they are. ``sensor`` is as in :func:`natural_bands`."""
+    natural, order = natural_bands(dataset, sensor), _vendors_order(dataset, sensor)
+    texts, meanings = _descriptions(dataset), colour_interpretations(dataset)
+    greens = [index for index, text in enumerate(texts, start=1) if _colour_of(text) == "green"]
+    infrared = [index for index, text in enumerate(texts, start=1) if _NEAR_INFRARED.search(text.lower())]
+    if not infrared:
+        infrared = [index for index, meaning in enumerate(meanings, start=1) if meaning == _GDALS_INFRARED]
+    if not infrared and _INFRARED in order:
+        infrared = [order.index(_INFRARED) + 1]
+    green = natural[1] if natural else greens[0] if len(greens) == 1 else 0
+    if not green or len(infrared) != 1 or infrared[0] == green:
+        return None
+    return green, infrared[0]
+
+
+def _vendors_order(dataset: gdal.Dataset, sensor: str) -> Sequence[str]:
+    """What the satellite's vendor is known to write into the bands, in their order; empty where that is unknown."""
     count = len(intensity_bands(dataset))
-    if count in (3, 4) and _RED_FIRST.match(sensor):
-        return 1, 2, 3
-    if count == 4 and _BLUE_FIRST.match(sensor):
-        return 3, 2, 1
-    if count == 8 and _COASTAL_FIRST.match(sensor):
-        return 5, 3, 2
-    return None
+    return next((order for known, order in _ORDERS if len(order) == count and known.match(sensor)), ())
+
+
+def _descriptions(dataset: gdal.Dataset) -> List[str]:
+    return [as_text(dataset.GetRasterBand(band).GetDescription()) for band in range(1, dataset.RasterCount + 1)]
 
 
 def intensity_bands(dataset: gdal.Dataset) -> List[int]:

@@ -21,7 +21,7 @@ from ..fusion.parameters import VisibilityParameters
 from ..fusion.visible import nadir_first, pixels_on
 from ..geometry.cell_grid import CellGrid
 from ..geometry.footprints import footprint, geometry_of, ray_slope
-from ..imagery.bands import band_name, intensity_bands, natural_bands
+from ..imagery.bands import band_name, intensity_bands, natural_bands, water_bands
 from ..imagery.raster import opened, opened_masked
 from ..imagery.warping import sample_source
 from ..runtime.progress import Progress, counted, listed
@@ -51,6 +51,12 @@ class ColourSource:
     sharpened: bool = False
     gains: Tuple[float, ...] = ()
     offsets: Tuple[float, ...] = ()
+
+    @property
+    def files(self) -> List[str]:
+        """The images that are read."""
+        pair = self.multispectral
+        return [self.view.image] if pair is None else [self.view.image, pair.image.image]
 
     def colours(
         self,
@@ -109,8 +115,7 @@ class ColourPlan:
     @property
     def files(self) -> List[str]:
         """All images that are read."""
-        pairs = [source.multispectral for source in self.sources]
-        return [source.view.image for source in self.sources] + [pair.image.image for pair in pairs if pair is not None]
+        return [file for source in self.sources for file in source.files]
 
     def stored(self, colours: FloatImage) -> NDArray[Any]:
         """(B, H, W) colours as the orthophoto keeps them."""
@@ -185,6 +190,45 @@ def colour_plan(
         progress.info("Nothing says which bands are red, green and blue: all of them are taken, in their order.")
     kind = max((bands.kind for bands in found), key=_WIDER.index)
     return ColourPlan(tuple(sources), found[0].names, natural, kind)
+
+
+def water_sources(
+    scene: Scene,
+    options: DsmFuseOptions,
+    plan: Optional[ColourPlan],
+    progress: Progress,
+    parameters: PansharpeningParameters,
+) -> Tuple[ColourSource, ...]:
+    """The views whose green and near infrared bands tell water from land, the most vertical one first; where colours
+    are planned, from the same images. None with COLOUR=greys.
+
+    Raises what :func:`colour_plan` raises for XS.
+    """
+    if options.colour == "greys":
+        return ()
+    views = nadir_first(scene)
+    if plan is not None:
+        pairs = [source.multispectral for source in plan.sources]
+        paired = {pair.pan.name: pair.image for pair in pairs if pair is not None}
+    else:
+        paired = _paired(scene, views, options.xs, parameters) or _beside(scene, views, progress, parameters)
+    sources: List[ColourSource] = []
+    without: List[str] = []
+    for view in views:
+        xs = paired.get(view.name)
+        image = xs or view
+        with opened(image.image) as dataset:
+            bands, several = water_bands(dataset, image.sensor or view.sensor), len(intensity_bands(dataset)) > 3
+        if bands is not None:
+            sources.append(ColourSource(view, bands, Multispectral(view, xs, bands) if xs else None))
+        elif several:
+            without.append(f"'{image.image}'")
+    if without:
+        progress.info(
+            f"Nothing says which bands of {listed(without)} are green and near infrared. Name them in the file "
+            "('green', 'near infrared'), so that they can tell water from land."
+        )
+    return tuple(sources)
 
 
 def _paired(

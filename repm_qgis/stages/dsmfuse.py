@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
+from typing import Any, Callable, Dict, Iterable, Iterator, List, Optional, Tuple
 
 from ..contracts.errors import EmptyResultError, ImageError, OptionError, SceneError
 from ..contracts.file_kinds import is_textured
@@ -29,8 +29,9 @@ from ..geometry.vertical import HeightDatum
 from ..imagery.raster import content_of
 from ..names import scene_title
 from ..ortho.colour_ortho import make_colour_ortho
-from ..ortho.colour_sources import ColourPlan, colour_plan
+from ..ortho.colour_sources import ColourPlan, colour_plan, water_sources
 from ..ortho.grey_ortho import make_grey_ortho
+from ..ortho.spectra import Spectra
 from ..planning.disk_space import fusion_needs, require_space
 from ..reports.styles import height_limits, write_style
 from ..runtime.parallel import run_whole
@@ -59,12 +60,13 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     layout = _laid_out(scene, options, progress, parameters)
     pairs = sorted({record.pair for tile in scene.tiles for record in tile.heights}) if options.view_heights else []
     plan = colours_of(scene, options, progress, parameters)
-    require_same = _same_images(scene, plan)
+    spectra = spectra_of(scene, layout.crs, options, plan, progress, parameters)
+    require_same = _same_images(scene, [*(plan.files if plan else ()), *(spectra.files if spectra else ())])
     bands = len(plan.names) if plan else 0
     require_space("fusion", fusion_needs(scene, _matched(scene), options, layout.grid.cell, bands), progress)
     whole = 1.0 / (1.0 + 0.7 * len(pairs))  # of the progress, for what all pairs make together
     with kept_until_done(scene.folder("fusion"), "dsmfuse", progress) as kept, _draped(options, kept) as draped:
-        fusion = Fusion.within(kept, draped, parameters, scene, layout)
+        fusion = replace(Fusion.within(kept, draped, parameters, scene, layout), spectra=spectra)
         drop_others(kept, fusion.folder)
         clouds = clouds_of(options, str(fusion.folder))
         painted = bool(plan or draped.ortho)
@@ -151,19 +153,43 @@ def colours_of(
         return None
     scene.require_images()
     plan = colour_plan(scene, options, progress, parameters.ortho.sharpening)
-    files = {real_path(path) for path in (plan.files if plan else ())}
+    _require_others(options, plan.files if plan else ())
+    return plan
+
+
+def spectra_of(
+    scene: Scene,
+    crs: str,
+    options: DsmFuseOptions,
+    plan: Optional[ColourPlan],
+    progress: Progress,
+    parameters: EngineParameters = ENGINE,
+) -> Optional[Spectra]:
+    """The multispectral images that tell water from land; None where nobody asks for water, or none can."""
+    if not (options.water_mask or options.water == "flatten"):
+        return None
+    sources = water_sources(scene, options, plan, progress, parameters.ortho.sharpening)
+    if not sources:
+        return None
+    spectra = Spectra.of(scene, crs, sources)
+    _require_others(options, spectra.files)
+    return spectra
+
+
+def _require_others(options: DsmFuseOptions, images: Iterable[str]) -> None:
+    """Raise OptionError for a product that would replace an image that is read for its colours."""
+    files = {real_path(path) for path in images}
     for each, path in paths_of("dsmfuse", options):
         if real_path(path) in files:
             reason = "is also an image that is read for its colours, which would be lost: choose another name"
             raise OptionError(each.option.upper(), path, reason)
-    return plan
 
 
-def _same_images(scene: Scene, plan: Optional[ColourPlan]) -> Callable[[], None]:
+def _same_images(scene: Scene, images: Iterable[str]) -> Callable[[], None]:
     """What raises SceneError where an image of the scene is another one than it was made from, and ImageError where one
-    that is read for its colours alone is another one than now."""
+    of these ``images``, which are read for their colours alone, is another one than now."""
     known = {real_path(view.image) for view in scene.views}
-    files = [path for path in (plan.files if plan else ()) if real_path(path) not in known]
+    files = [path for path in images if real_path(path) not in known]
     before = {path: content_of(path) for path in files}
 
     def require() -> None:

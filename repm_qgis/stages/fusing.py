@@ -22,6 +22,7 @@ from ..fusion.surface import Block, LightTask, SurfaceTask, blocks_of, halo, lig
 from ..fusion.tile_fusion import FuseTask, StoredTile, fuse_to_disk
 from ..fusion.walls import has_walls
 from ..fusion.water import Water, find_water
+from ..fusion.water_index import WaterIndex
 from ..registration.dem_offset import dem_offset, stated_height_deviation
 from ..registration.laying import prior_of
 from ..reports.styles import write_style
@@ -37,13 +38,15 @@ _TILES = 0.8  # of the fusion's progress, for the tiles
 
 @dataclass(frozen=True)
 class Fusion:
-    """What is fused: a scene's tiles, which all have heights, on the layout's cells; ``folder`` is for fused tiles."""
+    """What is fused: a scene's tiles, which all have heights, on the layout's cells; ``folder`` is for fused tiles.
+    ``spectra`` tell water from land."""
 
     options: DsmFuseOptions
     parameters: EngineParameters
     scene: Scene
     layout: DsmLayout
     folder: Path
+    spectra: Optional[WaterIndex] = None
 
     @classmethod
     def within(
@@ -99,7 +102,8 @@ def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredT
         water = run_whole(_water, (fusion, joined, blocks), progress, "looking for water")
     facts: FusionFacts = run_whole(_written, (fusion, joined, blocks, water), progress, "writing the products")
     bodies = water.bodies if water else ()
-    return replace(facts, needles=gone, water=len(bodies), water_m2=sum(body.area for body in bodies)), stored
+    area, evidence = sum(body.area for body in bodies), water.evidence if water else ""
+    return replace(facts, needles=gone, water=len(bodies), water_m2=area, water_evidence=evidence), stored
 
 
 def _walls(fusion: Fusion, progress: Progress) -> bool:
@@ -165,11 +169,12 @@ def _water(task: Tuple[Fusion, JoinedTiles, List[Block]], progress: Progress) ->
     """The water of the surface, named in the log."""
     fusion, joined, blocks = task
     grid, numbers = fusion.layout.grid.part(joined.crop), fusion.parameters.fusion
-    water = find_water(blocks, grid, _witnesses(fusion, progress), progress.check_cancelled, numbers)
+    witnesses, check = _witnesses(fusion, progress), progress.check_cancelled
+    water = find_water(blocks, grid, witnesses, check, numbers, fusion.spectra)
     rivers = [body for body in water.bodies if body.falls]
     lakes, area = len(water.bodies) - len(rivers), sum(body.area for body in water.bodies)
     found = f"{counted(lakes, 'lake')}, {counted(len(rivers), 'river')}"
-    progress.info(f"Water was found on {area:.0f} m2: {found}.")
+    progress.info(f"Water was found on {area:.0f} m2: {found} ({water.evidence}).")
     return water
 
 

@@ -97,6 +97,7 @@ def _needs(
     """The disk space of all stages to come."""
     cell = options.fuse.resolution or parameters.tiles.cell_gsd * scene.gsd_m
     colours = dsmfuse.colours_of(scene, options.fuse, Silent(), parameters)  # which refuses unfit XS now
+    dsmfuse.spectra_of(scene, scene.crs, options.fuse, colours, Silent(), parameters)  # and so does this
     heights = heights_need(scene, matched, reconstruct.heights_folder(options.reconstruct))
     return [heights, *fusion_needs(scene, matched, options.fuse, cell, len(colours.names) if colours else 0)]
 
