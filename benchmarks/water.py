@@ -13,7 +13,8 @@ from benchmarks.scenes import CACHE, SHARED, made_once
 from benchmarks.tables import Section, table
 from benchmarks.water_and_clouds import LAND, WATER, make_pair
 
-_WET = (("urban", 5, False), ("mountains", 6, False), ("mountains", 5, True))
+_WET = (("urban", 5, "lakes"), ("mountains", 6, "lakes"), ("mountains", 5, "river"), ("urban", 5, "lakes, XS"))
+_WET += (("mountains", 6, "lakes, XS"),)
 _SIZE = 700
 _DRY = {
     "jax_068, three views": [f"jax_068/JAX_068_{number}_RGB.tif" for number in ("009", "011", "012")],
@@ -37,11 +38,11 @@ def _on(path: Path, truth: gdal.Dataset, nodata: float) -> np.ndarray:
     return np.asarray(warped.ReadAsArray(), float)
 
 
-def _wet(kind: str, seed: int, river: bool) -> List[List[Any]]:
-    folder = CACHE / f"water_{kind}_{seed}_{'river' if river else 'lakes'}_{_SIZE}"
+def _wet(kind: str, seed: int, what: str) -> List[List[Any]]:
+    folder, river, xs = CACHE / f"water_{kind}_{seed}_{what.replace(', ', '_')}_{_SIZE}", what == "river", "XS" in what
 
     def simulate() -> None:
-        made = make_pair(str(folder), kind, _SIZE, seed=seed, clouds=not river, river=river)
+        made = make_pair(str(folder), kind, _SIZE, seed=seed, clouds=not river, river=river, xs=xs)
         np.save(folder / "classes.npy", made.classes)
         _made(made.images, folder)
 
@@ -60,7 +61,7 @@ def _wet(kind: str, seed: int, river: bool) -> List[List[Any]]:
             levels = np.percentile(error[own & water], (5, 50, 95)) if (own & water).any() else ()
             shown = ", ".join(f"{value:+.2f}" for value in levels) or "-"
             kind_of = "river, still" if river else f"lake, {name}"
-            rows.append([f"{kind}, seed {seed}", kind_of, 100 * float(water[own].mean()), shown, ""])
+            rows.append([f"{kind}, seed {seed}{', XS' * xs}", kind_of, 100 * float(water[own].mean()), shown, ""])
     rows[-1][-1] = f"{100 * float(water[land].mean()):.3f}"
     return rows
 
@@ -85,11 +86,12 @@ def water() -> List[str]:
     wet = [row for case in few(_WET) for row in _wet(*case)]
     dry, absent = _dry()
     return [
-        f"Simulated pairs of {_SIZE} px with three lakes and two clouds, or with a river that falls by 8 m "
+        f"Simulated pairs of {_SIZE} px with three or four lakes and two clouds, or with a river that falls by 8 m "
         "(`benchmarks/water_and_clouds.py`), with WATER=flatten. *Found*: the share of the true water. *Level*: found "
         "minus true, as 5, 50 and 95 % quantiles, after the median error of land is taken off; shores are half a metre "
-        "and more above the water. *Land*: the share of land that is taken for water. Sun glint is bright, and is not "
-        "looked for.",
+        "and more above the water. *Land*: the share of land that is taken for water. *XS*: multispectral images of a "
+        "quarter of the resolution lie beside the panchromatic ones. Without them, glint and murky water are bright, and "
+        "are not looked for.",
         table("pair | water | found, % | level, m | land, %", wet),
         "Real images without water, in towns with tall shadows, fields and mountains:",
         table("images | heights, ha | taken for water, m2", dry),

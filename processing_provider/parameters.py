@@ -614,7 +614,7 @@ def fusion() -> list[QgsProcessingParameterDefinition]:
                 tr(
                     "keep: as they were matched, mostly without heights; flatten: lakes get the level of their shore, "
                     "and rivers fall along their flow. Water is found where matching finds nothing and the images are "
-                    "dark and smooth, from 2000 m² and a width of 12 m on."
+                    "dark and smooth, or where multispectral images show it (NDWI), from 2000 m² and a width of 12 m on."
                 ),
             )
         ),

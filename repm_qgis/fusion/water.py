@@ -98,13 +98,13 @@ def find_water(
         if shore.heights.size >= p.least_shore:
             assumed[shore.part][shore.inside] = np.percentile(shore.heights, p.shore_percentile)
         check()
-    looks, evidence = _looks_of_water(witnesses, spectra, cells, assumed, land, empty, check, parameters)
+    looks, dry, evidence = _looks_of_water(witnesses, spectra, cells, assumed, land, empty, check, parameters)
     side = 2 * max(int(round(p.narrowest_m / cells.cell / 4)), 1) + 1
     alike = cv2.boxFilter(looks.astype(np.float32), -1, (side, side), borderType=cv2.BORDER_CONSTANT)
     water = _broad((empty | looks) & (alike > p.share), p.narrowest_m / cells.cell, p.least_m2 / cells.cell**2)
     # The windows of both questions reach over the bank: what is empty so far beside water belongs to it.
     rim = cv2.dilate(water.astype(np.uint8), _disc(side // 2 + p.window_cells // 2 + 1)) > 0
-    water = large_components(water | (rim & empty), p.least_m2 / cells.cell**2)
+    water = large_components(water | (rim & empty & ~dry), p.least_m2 / cells.cell**2)
     level, bodies = nothing.level.copy(), []
     for shore in _shores(water, height, cells.cell, p):
         check()
@@ -179,9 +179,9 @@ def _looks_of_water(
     empty: Mask,
     check: Callable[[], None],
     parameters: FusionParameters,
-) -> Tuple[Mask, str]:
-    """Which cells look like water, and what says so: the index of water wherever an image shows it, of matched cells as
-    well, and darkness of ``empty`` ones elsewhere."""
+) -> Tuple[Mask, Mask, str]:
+    """Which cells look like water, which certainly not, and what says so: the index of water wherever an image shows
+    it, of matched cells as well, and darkness of ``empty`` ones elsewhere."""
     looks, evidence, known = np.zeros(grid.shape, bool), "", np.zeros(grid.shape, bool)
     if spectra is not None and spectra.views:
         index, infrared = index_of(spectra, grid, height, check, parameters)
@@ -189,12 +189,17 @@ def _looks_of_water(
         looks, threshold = wet_above(index, infrared, land, empty, grid.cell, spectra.calibrated, parameters.water)
         if known[empty].any():
             evidence = "no NDWI of water" if threshold is None else f"NDWI above {threshold:.2f}"
+    # A pixel on the bank is what more than half of it shows.
+    dry = known & ~looks
+    if looks.any() and (known & land & ~looks).any():
+        with np.errstate(invalid="ignore"):
+            dry &= index < (np.median(index[looks]) + np.median(index[known & land & ~looks])) / 2
     if known[empty].all():
-        return looks, evidence
+        return looks, dry, evidence
     dark = empty & ~known & _dark_and_flat(witnesses, grid, height, land, check, parameters)
     if evidence and dark.any():
         evidence = f"{evidence}; elsewhere {DARK}"
-    return looks | dark, evidence or DARK
+    return looks | dark, dry, evidence or DARK
 
 
 def _dark_and_flat(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from osgeo import gdal
 
-from repm_qgis.imagery.bands import band_name, intensity_bands, natural_bands
+from repm_qgis.imagery.bands import band_name, intensity_bands, natural_bands, water_bands
 
 
 def image(bands, meanings=(), names=()):
@@ -50,3 +50,21 @@ def test_alpha_shows_nothing():
     dataset = image(2, (gdal.GCI_GrayIndex, gdal.GCI_AlphaBand))
     assert intensity_bands(dataset) == [1]
     assert band_name(dataset, 2) == "band 2"
+
+
+@pytest.mark.parametrize(
+    ("names", "sensor", "expected"),
+    [
+        (("red", "green", "blue", "near infrared"), "", (2, 4)),
+        (("B0 blue", "green", "red", "NIR"), "", (2, 4)),
+        (("coastal", "blue", "green", "yellow", "red", "red edge", "nir-1", "nir-2"), "", (3, 7)),
+        ((), "Pleiades 1A", (2, 4)),
+        ((), "WorldView-2", (2, 4)),
+        ((), "", None),
+        (("red", "green", "blue", "thermal"), "", None),
+        (("green", "NIR", "near infrared", "red"), "", None),
+    ],
+)
+def test_green_and_near_infrared(names, sensor, expected):
+    """Of two bands that are called near infrared, nothing says which is meant."""
+    assert water_bands(image(max(len(names), 4), names=names), sensor) == expected
