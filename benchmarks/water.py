@@ -90,8 +90,8 @@ def water() -> List[str]:
         "(`benchmarks/water_and_clouds.py`), with WATER=flatten. *Found*: the share of the true water. *Level*: found "
         "minus true, as 5, 50 and 95 % quantiles, after the median error of land is taken off; shores are half a metre "
         "and more above the water. *Land*: the share of land that is taken for water. *XS*: multispectral images of a "
-        "quarter of the resolution lie beside the panchromatic ones. Without them, glint and murky water are bright, and "
-        "are not looked for.",
+        "quarter of the resolution lie beside the panchromatic ones. Without them glint and mud are bright, and are "
+        "not looked for.",
         table("pair | water | found, % | level, m | land, %", wet),
         "Real images without water, in towns with tall shadows, fields and mountains:",
         table("images | heights, ha | taken for water, m2", dry),

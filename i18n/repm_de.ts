@@ -1600,8 +1600,8 @@
         <translation>Wasserflächen</translation>
     </message>
     <message>
-        <source>keep: as they were matched, mostly without heights; flatten: lakes get the level of their shore, and rivers fall along their flow. Water is found where matching finds nothing and the images are dark and smooth, from 2000 m² and a width of 12 m on.</source>
-        <translation>keep: wie sie zugeordnet wurden, meist ohne Höhen; flatten: Seen bekommen die Höhe ihres Ufers, und Flüsse fallen in Fließrichtung. Wasser wird gefunden, wo die Zuordnung nichts findet und die Bilder dunkel und glatt sind, ab 2000 m² und 12 m Breite.</translation>
+        <source>keep: as they were matched, mostly without heights; flatten: lakes get the level of their shore, and rivers fall along their flow. Water is found where multispectral images show it (NDWI), else where matching finds nothing and the images are dark and smooth; from 2000 m² and 12 m width on.</source>
+        <translation>keep: wie sie zugeordnet wurden, meist ohne Höhen; flatten: Seen bekommen die Höhe ihres Ufers, und Flüsse fallen in Fließrichtung. Wasser wird gefunden, wo multispektrale Bilder es zeigen (NDWI), sonst wo die Zuordnung nichts findet und die Bilder dunkel und glatt sind; ab 2000 m² und 12 m Breite.</translation>
     </message>
     <message>
         <source>Outlier radius (m)</source>

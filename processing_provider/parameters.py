@@ -613,8 +613,8 @@ def fusion() -> list[QgsProcessingParameterDefinition]:
                 tr("Water surfaces"),
                 tr(
                     "keep: as they were matched, mostly without heights; flatten: lakes get the level of their shore, "
-                    "and rivers fall along their flow. Water is found where matching finds nothing and the images are "
-                    "dark and smooth, or where multispectral images show it (NDWI), from 2000 m² and a width of 12 m on."
+                    "and rivers fall along their flow. Water is found where multispectral images show it (NDWI), else "
+                    "where matching finds nothing and the images are dark and smooth; from 2000 m² and 12 m width on."
                 ),
             )
         ),
