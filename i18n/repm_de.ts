@@ -1528,8 +1528,8 @@
         <translation>Dichte Zuordnung</translation>
     </message>
     <message>
-        <source>sgm: semi-global matching on the CPU; colmap: COLMAP's PatchMatch on a CUDA GPU; auto: colmap where a CUDA device answers, else sgm.</source>
-        <translation>sgm: Semi-Global Matching auf der CPU; colmap: PatchMatch von COLMAP auf einer CUDA-GPU; auto: colmap, wo ein CUDA-Gerät antwortet, sonst sgm.</translation>
+        <source>sgm: semi-global matching on the CPU; colmap: COLMAP's PatchMatch on a CUDA GPU; auto: sgm, until colmap was measured on a GPU.</source>
+        <translation>sgm: Semi-Global Matching auf der CPU; colmap: PatchMatch von COLMAP auf einer CUDA-GPU; auto: sgm, bis colmap auf einer GPU gemessen wurde.</translation>
     </message>
     <message>
         <source>COLMAP: geometric consistency</source>

@@ -515,8 +515,8 @@ def backend() -> QgsProcessingParameterDefinition:
         "backend",
         tr("Dense matching"),
         tr(
-            "sgm: semi-global matching on the CPU; colmap: COLMAP's PatchMatch on a CUDA GPU; auto: colmap "
-            "where a CUDA device answers, else sgm."
+            "sgm: semi-global matching on the CPU; colmap: COLMAP's PatchMatch on a CUDA GPU; auto: sgm, "
+            "until colmap was measured on a GPU."
         ),
     )
 

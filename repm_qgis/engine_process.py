@@ -23,7 +23,7 @@ import threading
 import time
 import traceback
 from contextlib import suppress
-from typing import Any, Dict, Tuple
+from typing import Any, Callable, Dict, TextIO, Tuple
 
 from .contracts.errors import INSTALL_REMEDY, Cancelled, MissingPackageError, OptionError, RepmError
 from .runtime.parallel import end_workers
@@ -38,6 +38,8 @@ _MAX_JOB_BYTES = 64 << 20
 _GRACE_S = 1.2  # from SIGTERM to SIGKILL where nobody else does it
 _CANCELLING = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGBREAK") if hasattr(signal, name)]
 _CANCEL = b"cancel\n"  # a line on standard input
+Asked = Callable[[], Tuple[str, Dict[str, Any]]]
+"""What gives the stage's name and its job; raises OptionError."""
 
 
 def _first_line() -> Tuple[bytes, bytes]:
@@ -53,8 +55,8 @@ def _first_line() -> Tuple[bytes, bytes]:
     return line, rest
 
 
-def _job(path: str, line: bytes) -> Dict[str, Any]:
-    """The options in a file, or in a line where ``path`` is "-"."""
+def read_job(path: str, line: bytes = b"") -> Dict[str, Any]:
+    """The options in a file, or in a line where ``path`` is "-"; raises OptionError."""
     try:
         if (len(line) if path == "-" else os.path.getsize(path)) > _MAX_JOB_BYTES:
             raise OptionError("job", path, f"must have less than {_MAX_JOB_BYTES >> 20} MiB")
@@ -72,7 +74,7 @@ def _job(path: str, line: bytes) -> Dict[str, Any]:
     return job
 
 
-class _Cancelling:
+class Cancelling:
     """SIGTERM and Ctrl-C: the stage is interrupted so that it cleans up; what does not end in time is ended.
 
     An exception that a signal raises can get lost, in a destructor or in a callback of native code, and it can leave a
@@ -156,7 +158,7 @@ def _own_input() -> int:
     return pipe
 
 
-def _heed_parent(cancelling: _Cancelling, said: bytes) -> None:
+def _heed_parent(cancelling: Cancelling, said: bytes) -> None:
     """Cancel where standard input says so; cancel, and soon after end the process group, once it closes.
 
     ``said`` was read of it already.
@@ -185,44 +187,63 @@ def _heed_parent(cancelling: _Cancelling, said: bytes) -> None:
     threading.Thread(target=watch, args=(said,), name="watch-parent", daemon=True).start()
 
 
-def _run(arguments: list[str], lines: JsonLines, line: bytes) -> Dict[str, Any]:
-    one_thread_for_sums()
-    keep_freed_memory()
+def _asked_for(arguments: list[str], line: bytes) -> Tuple[str, Dict[str, Any]]:
     if len(arguments) != 2:
         raise OptionError("arguments", " ".join(arguments), "must be a STAGE and a JOB.json")
+    return arguments[0], read_job(arguments[1], line)
+
+
+def _run(asked: Asked, lines: JsonLines) -> Dict[str, Any]:
+    one_thread_for_sums()
+    keep_freed_memory()
     from .stages import run_stage
 
     bound_cache()
     reserve_buffers()
-    job = _job(arguments[1], line)
+    stage, job = asked()
     with written_in(job.pop("language", None), job.pop("labels", None)):
         lines.translate = reader().translate
-        return run_stage(arguments[0], job, lines)
+        return run_stage(stage, job, lines)
 
 
 def main(arguments: list[str]) -> int:
-    # Native libraries print to standard output at will: keep it for our lines, and send theirs to standard error.
-    lines = JsonLines(os.fdopen(os.dup(1), "w", encoding="utf-8"))
-    cancelling = _Cancelling(lines)
+    def begin(cancelling: Cancelling) -> Asked:
+        line, rest = _first_line() if arguments[1:] == ["-"] else (b"", b"")
+        if os.environ.get("REPM_ENGINE_WATCH_STDIN"):
+            _heed_parent(cancelling, rest)
+        return lambda: _asked_for(arguments, line)
+
+    return serve(JsonLines(own_output()), begin)
+
+
+def own_output() -> TextIO:
+    """Standard output for our lines alone: native libraries print to it at will, see :func:`serve`."""
+    return os.fdopen(os.dup(1), "w", encoding="utf-8")
+
+
+def serve(lines: JsonLines, begin: Callable[[Cancelling], Asked]) -> int:
+    """Run a stage and send its lines; gives the exit code.
+
+    ``begin`` is called once signals are heard, and gives what reads the stage's name and job. From here on what is
+    printed to standard output goes to standard error.
+    """
+    cancelling = Cancelling(lines)
     lines.cancelled_by(cancelling.asked)
     try:
         cancelling.listen()
         end_children_with_us()
         os.dup2(2, 1)
-        line, rest = _first_line() if arguments[1:] == ["-"] else (b"", b"")
-        if os.environ.get("REPM_ENGINE_WATCH_STDIN"):
-            _heed_parent(cancelling, rest)
-        return _ended(arguments, lines, cancelling, line)
+        return _ended(begin(cancelling), lines, cancelling)
     except Cancelled as cancelled:  # heard before the stage began, or while the last line was being prepared
         cancelling.stop_listening()
         return _said(cancelled, lines)
 
 
-def _ended(arguments: list[str], lines: JsonLines, cancelling: _Cancelling, line: bytes) -> int:
+def _ended(asked: Asked, lines: JsonLines, cancelling: Cancelling) -> int:
     """Run the stage and send the last line; gives the exit code."""
     try:
         with shortage_as_error():
-            result = _run(arguments, lines, line)
+            result = _run(asked, lines)
         cancelling.stop_listening()
     except Exception as error:
         cancelling.stop_listening()

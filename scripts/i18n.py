@@ -142,6 +142,7 @@ WORDS = (
 _MOST_FORMS = 16
 _PASSED_OVER = {
     ROOT / "repm_qgis" / "contracts" / "products.py",  # the dialogs have its texts; pages show titles only
+    ROOT / "repm_qgis" / "command_line.py",  # a terminal's help, whose options are English words
     ROOT / "repm_qgis" / "imagery" / "sensors.py",  # names, patterns and citations, the same in every language
 }
 SYSTEM = (

@@ -8,12 +8,12 @@ from __future__ import annotations
 import html
 import re
 from functools import lru_cache
-from pathlib import Path
 from typing import Dict, Iterator, Mapping, Tuple
 
+from ..runtime.data_folder import DATA_FOLDER
 from ..runtime.translation import SOURCE_LANGUAGE
 
-_DOCS = Path(__file__).resolve().parents[2] / "docs"
+_DOCS = DATA_FOLDER / "docs"
 _COMMAS = ("de",)
 """Languages that write a comma before decimals."""
 # fmt: off

@@ -6,16 +6,16 @@ Their filter ``said`` translates, see :mod:`repm_qgis.runtime.translation`.
 from __future__ import annotations
 
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..contracts.errors import MissingPackageError
+from ..runtime.data_folder import DATA_FOLDER
 from ..runtime.translation import said
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-RESOURCES = Path(__file__).resolve().parents[2] / "resources"
+RESOURCES = DATA_FOLDER / "resources"
 
 
 class Drawing(str):

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Dict, List, Sequence, Tuple
 
+from .data_folder import DATA_FOLDER
+
 PLUGIN_FOLDER = Path(__file__).resolve().parents[2]
 REQUIREMENTS = "requirements.txt"
 
@@ -50,7 +52,7 @@ def name_of(requirement: str) -> str:
     return re.sub(r"[-_.]+", "-", found.group(0)).lower() if found else ""
 
 
-def requirements_of(names: Sequence[str], folder: Path = PLUGIN_FOLDER) -> List[str]:
+def requirements_of(names: Sequence[str], folder: Path = DATA_FOLDER) -> List[str]:
     """The lines of requirement files of the plugin, without comments; raises OSError where one is missing."""
     lines = [line for name in names for line in (folder / name).read_text(encoding="utf-8").splitlines()]
     return [line.strip() for line in lines if line.strip() and not line.strip().startswith("#")]

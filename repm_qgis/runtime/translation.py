@@ -21,9 +21,10 @@ from types import MappingProxyType
 from typing import Callable, Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence
 
 from ..contracts.errors import OptionError
+from .data_folder import DATA_FOLDER
 
 SOURCE_LANGUAGE = "en"
-_FOLDER = Path(__file__).resolve().parents[2] / "i18n"
+_FOLDER = DATA_FOLDER / "i18n"
 _FIELD = re.compile(r"\{(\d+)\}")
 _LETTERS = re.compile(r"[^\W\d_]{2}")
 _WORDS = re.compile(r"[^\W\d_]{2}[,;:]?\s+[^\W\d_]{2}")

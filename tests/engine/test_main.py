@@ -112,13 +112,13 @@ SWALLOWED = """
 import os, signal, sys, time
 from repm_qgis import engine_process
 from repm_qgis.runtime.workspace import write_text
-def run(arguments, lines, line):
+def run(asked, lines):
     try:
         os.kill(os.getpid(), signal.SIGTERM)
         time.sleep(5)
     except Exception:  # as native code does with what a callback raises
-        if arguments[0] == "writes":
-            write_text(arguments[1], "not all of it")
+        if sys.argv[1] == "writes":
+            write_text(sys.argv[2], "not all of it")
         raise ValueError("Failed to call write") from None
 engine_process._run = run
 sys.exit(engine_process.main(sys.argv[1:]))
@@ -139,7 +139,7 @@ def test_a_cancel_that_native_code_swallows_is_a_cancel_and_names_no_file(tmp_pa
 LATE = """
 import os, signal, sys
 from repm_qgis import engine_process
-engine_process._run = lambda arguments, lines, line: {}
+engine_process._run = lambda asked, lines: {}
 code = engine_process.main(["a", "b"])
 os.kill(os.getpid(), signal.SIGTERM)
 sys.exit(code)
@@ -155,11 +155,11 @@ def test_a_signal_after_the_result_changes_nothing():
 EARLY = """
 import os, signal, sys
 from repm_qgis import engine_process
-listen = engine_process._Cancelling.listen
+listen = engine_process.Cancelling.listen
 def heard_at_once(self):
     listen(self)
     os.kill(os.getpid(), signal.SIGTERM)
-engine_process._Cancelling.listen = heard_at_once
+engine_process.Cancelling.listen = heard_at_once
 sys.exit(engine_process.main(["epmfit", "none.json"]))
 """
 

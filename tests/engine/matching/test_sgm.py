@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -124,6 +126,17 @@ def test_threads_do_not_change_a_bit():
     for disparity, score in found[1:]:
         np.testing.assert_array_equal(disparity, found[0][0])
         np.testing.assert_array_equal(score, found[0][1])
+
+
+def test_auto_chooses_no_backend_that_was_not_measured(monkeypatch):
+    """As where a CUDA device answers; the page says of which backends there are figures."""
+    colmap = backend_of("colmap")
+    monkeypatch.setattr(type(colmap), "usable", lambda self: True)
+    monkeypatch.setattr(type(colmap), "remedy", lambda self: "")
+    page = (Path(__file__).resolve().parents[3] / "docs" / "benchmarks.md").read_text(encoding="utf-8")
+    not_measured = "**Not measured: no CUDA device here**" in page.partition("<!-- cuda: begin -->")[2]
+    assert (resolve("auto") == [BACKEND]) == not_measured
+    assert resolve("colmap") == [colmap]
 
 
 def test_backends_by_name():
