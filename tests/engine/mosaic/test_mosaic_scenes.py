@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -98,7 +99,7 @@ def test_what_is_wrong_with_scenes_is_said_before_any_is_fused(scenes, fused, ur
     out.mkdir()
     for options, kind, words in (
         ({"scenes": scenes[:1]}, OptionError, "must name at least two DSMs, or as many together with SCENES"),
-        ({"scenes": [scenes[0], scenes[0]]}, OptionError, f"SCENES is '{scenes[0]}': it is named twice"),
+        ({"scenes": [scenes[0], scenes[0]]}, OptionError, f"SCENES is '{re.escape(scenes[0])}': it is named twice"),
         ({"scenes": [scenes[0], "gone.json"]}, SceneError, "gone.json"),
         ({"scenes": [scenes[0], str(urban_run.workspace / "scene.json")]}, SceneError, "has no height maps"),
         ({"dsms": [geoid], "scenes": scenes[:1]}, ImageError, "above 'EGM96 height', .*: convert all DSMs to one"),
