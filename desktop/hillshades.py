@@ -11,7 +11,15 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, Optional
 
-from qgis.core import QgsLayerTreeLayer, QgsMapLayer, QgsMapLayerType, QgsProject, QgsRasterLayer
+from qgis.core import (
+    QgsLayerTreeLayer,
+    QgsLayoutItemMap,
+    QgsMapLayer,
+    QgsMapLayerType,
+    QgsMapThemeCollection,
+    QgsProject,
+    QgsRasterLayer,
+)
 from qgis.PyQt import sip
 from qgis.PyQt.QtCore import QCoreApplication, QTimer
 from qgis.PyQt.QtWidgets import QAction
@@ -103,6 +111,8 @@ class Hillshades:
         for layer, node in dsms.items():
             if layer not in placed:
                 self._place(node)
+        self._join_themes()
+        self._join_layouts()
         self._offer()
         self._project.setDirty(changed)  # what is not stored is no change
 
@@ -120,6 +130,36 @@ class Hillshades:
             order = [each for each in self._root.customLayerOrder() if each != shade]
             order.insert(order.index(layer) if layer in order else 0, shade)
             self._root.setCustomLayerOrder(order)
+
+    def _join_themes(self) -> None:
+        """A theme that shows a DSM shows its hillshade: of those in a project's file QGIS found no layer."""
+        themes = self._project.mapThemeCollection()
+        for name in themes.mapThemes():
+            state = themes.mapThemeState(name)
+            shown = {each.layer() for each in state.layerRecords()}
+            missing = [shade for layer, shade in self._of_project() if layer in shown and shade not in shown]
+            for shade in missing:
+                state.addLayerRecord(QgsMapThemeCollection.MapThemeLayerRecord(shade))
+            if missing:
+                themes.update(name, state)
+
+    def _join_layouts(self) -> None:
+        """The same for maps of layouts whose layers are locked. There QGIS takes the DSM, which has the same file, for
+        the hillshade that it does not find, and has it twice."""
+        for layout in self._project.layoutManager().printLayouts():
+            for item in layout.items():
+                if isinstance(item, QgsLayoutItemMap) and item.keepLayerSet():
+                    layers = list({each.id(): each for each in item.layers()}.values())
+                    for layer, shade in self._of_project():
+                        if layer in layers and shade not in layers:
+                            layers.insert(layers.index(layer), shade)
+                    if layers != item.layers():
+                        item.setLayers(layers)
+
+    def _of_project(self) -> list[tuple[QgsMapLayer, QgsRasterLayer]]:
+        """The DSMs, each with its hillshade."""
+        found = [(self._project.mapLayer(layer), shade) for layer, shade in self._shades.items()]
+        return [(layer, shade) for layer, shade in found if layer is not None]
 
     def _make(self, layer: QgsRasterLayer) -> None:
         name = self.tr("Hillshade of {name}").format(name=layer.name())

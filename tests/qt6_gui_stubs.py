@@ -228,6 +228,12 @@ class QgsProject(QtCore.QObject):
     def layerTreeRoot(self):
         return self._tree
 
+    def mapThemeCollection(self):
+        return mock.MagicMock(**{"mapThemes.return_value": []})
+
+    def layoutManager(self):
+        return mock.MagicMock(**{"printLayouts.return_value": []})
+
     def isDirty(self):
         return False
 

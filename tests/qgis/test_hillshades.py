@@ -6,7 +6,15 @@ import shutil
 
 import numpy as np
 import pytest
-from qgis.core import QgsProject, QgsRasterLayer
+from qgis.core import (
+    QgsLayerTreeModel,
+    QgsLayoutItemMap,
+    QgsMapThemeCollection,
+    QgsPrintLayout,
+    QgsProject,
+    QgsRasterLayer,
+)
+from qgis.PyQt import sip
 
 DSM = "DSM town"
 SHADE = f"Hillshade of {DSM}"
@@ -130,6 +138,40 @@ def test_a_stored_project_has_the_dsm_alone_and_its_hillshade_again_when_it_is_o
     hillshades.stop()
     assert names(again) == [DSM]
     again.clear()
+
+
+def test_themes_and_locked_layouts_have_the_hillshade_again(shaded, tmp_path):
+    """Both name layers of the project, of which the hillshade is none."""
+    from repm.desktop.hillshades import Hillshades
+
+    project, layer, _ = shaded
+    root, themes = project.layerTreeRoot(), project.mapThemeCollection()
+    themes.insert("relief", QgsMapThemeCollection.createThemeFromCurrentState(root, QgsLayerTreeModel(root)))
+    layout = QgsPrintLayout(project)
+    layout.initializeDefaults()
+    layout.setName("sheet")
+    item = QgsLayoutItemMap(layout)
+    layout.addLayoutItem(item)
+    item.setKeepLayerSet(True)
+    item.setLayers(root.layerOrder())
+    assert [each.name() for each in item.layers()] == [SHADE, DSM]
+    project.layoutManager().addLayout(layout)
+    path = str(tmp_path / "p.qgz")
+    assert project.write(path)
+    again = QgsProject()
+    sip.transferto(again, None)  # see conftest
+    hillshades = Hillshades(again)
+    assert again.read(path) and names(again) == [SHADE, DSM] and not again.isDirty()
+    shown = again.mapThemeCollection().mapThemeVisibleLayers("relief")
+    (sheet,) = again.layoutManager().printLayouts()
+    (locked,) = (each for each in sheet.items() if isinstance(each, QgsLayoutItemMap))
+    for layers in (shown, locked.layers()):
+        assert [each.name() for each in layers] == [SHADE, DSM]
+        assert all(each.isValid() for each in layers)
+    del shown, layers  # which keep the hillshade
+    hillshades.stop()
+    assert [each.name() for each in again.mapThemeCollection().mapThemeVisibleLayers("relief")] == [DSM]
+    assert [each.name() for each in locked.layers()] == [DSM]
 
 
 def test_hillshades_of_older_projects_are_taken_out_of_them(plugin, dsm):
