@@ -48,6 +48,18 @@ class Dialog(AlgorithmDialog):
         return Panel(parent, alg, self.in_place, self.active_layer)
 
     _given: Mapping[str, Any] = {}  # of the last run
+    _in_use: set[Dialog] = set()
+    """Dialogs that are shown or run something. Python 3.14 forgets one that nobody else refers to, such as one of
+    ``processing.createAlgorithmDialog``; the run then works with what is no longer there, and QGIS crashes."""
+
+    def showEvent(self, event: Any) -> None:
+        self._in_use.add(self)
+        super().showEvent(event)
+
+    def hideEvent(self, event: Any) -> None:
+        super().hideEvent(event)
+        if not self.cancelButton().isEnabled():  # else it runs something
+            self._in_use.discard(self)
 
     def runAlgorithm(self) -> None:
         """Keeps what the run is given: the widgets may be changed before it ends."""
@@ -59,6 +71,8 @@ class Dialog(AlgorithmDialog):
     def finish(self, successful: bool, result: Any, *more: Any, **named: Any) -> None:
         """Offers the next step on the map, and here as well, where this dialog stays open."""
         super().finish(successful, result, *more, **named)
+        if not self.isVisible():
+            self._in_use.discard(self)
         if successful:
             text, buttons = STEPS.after(iface, self.algorithm().name(), self._given, result)
             if buttons and self.isVisible():

@@ -12,7 +12,7 @@ from qgis.utils import iface, loadPlugin, plugins, startPlugin, unloadPlugin
 sys.path.insert(0, os.environ["REPM_DESKTOP_DRIVERS"])
 from desktop_steps import FOUND, PLAN, begin, finish, guarded, picture  # noqa: E402
 
-FOUND.update(name="helpers", log=[])
+FOUND.update(name="helpers", log=[], asked=0)
 
 
 @guarded
@@ -61,6 +61,13 @@ def run_batch(dialog):
 
     algorithm = QgsApplication.processingRegistry().createAlgorithmById("repm:inspect")
     batch = BatchAlgorithmDialog(algorithm, iface.mainWindow())
+    load = type(batch).loadHtmlResults
+
+    def noted(self, *given):
+        FOUND["asked"] += 1
+        return load(self, *given)
+
+    type(batch).loadHtmlResults = noted
     rows, panel = PLAN["rows"], batch.mainWidget()
     panel.batchRowCount = lambda: len(rows)
     panel.parametersForRow = lambda row, *_, **__: (rows[row], True)
