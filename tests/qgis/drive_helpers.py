@@ -61,13 +61,14 @@ def run_batch(dialog):
 
     algorithm = QgsApplication.processingRegistry().createAlgorithmById("repm:inspect")
     batch = BatchAlgorithmDialog(algorithm, iface.mainWindow())
-    load = type(batch).loadHtmlResults
+    name = "loadHtmlResults" if hasattr(batch, "loadHtmlResults") else "loadHTMLResults"  # QGIS 3.22
+    load = getattr(type(batch), name)
 
     def noted(self, *given):
         FOUND["asked"] += 1
         return load(self, *given)
 
-    type(batch).loadHtmlResults = noted
+    setattr(type(batch), name, noted)
     rows, panel = PLAN["rows"], batch.mainWidget()
     panel.batchRowCount = lambda: len(rows)
     panel.parametersForRow = lambda row, *_, **__: (rows[row], True)
