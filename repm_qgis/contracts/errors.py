@@ -6,8 +6,12 @@ from :class:`RepmError` and from the builtin that fits, so library users may cat
 
 from __future__ import annotations
 
+from .data_folder import IN_WHEEL
+
 INSTALL_REMEDY = (
-    "choose Plugins > REPM > 'Install the engine's packages' in QGIS, or run 'Report the environment' "
+    "install it with pip, but GDAL's bindings with the system's packages or with conda (docs/engine.md)"
+    if IN_WHEEL
+    else "choose Plugins > REPM > 'Install the engine's packages' in QGIS, or run 'Report the environment' "
     "(repm:environment) with INSTALL=true"
 )
 """What to do where packages are missing: the same words in every message."""

@@ -10,7 +10,7 @@ import re
 from functools import lru_cache
 from typing import Dict, Iterator, Mapping, Tuple
 
-from ..runtime.data_folder import DATA_FOLDER
+from ..contracts.data_folder import DATA_FOLDER
 from ..runtime.translation import SOURCE_LANGUAGE
 
 _DOCS = DATA_FOLDER / "docs"

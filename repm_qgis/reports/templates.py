@@ -8,8 +8,8 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+from ..contracts.data_folder import DATA_FOLDER
 from ..contracts.errors import MissingPackageError
-from ..runtime.data_folder import DATA_FOLDER
 from ..runtime.translation import said
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Dict, List, Sequence, Tuple
 
-from .data_folder import DATA_FOLDER
+from ..contracts.data_folder import DATA_FOLDER
 
 PLUGIN_FOLDER = Path(__file__).resolve().parents[2]
 REQUIREMENTS = "requirements.txt"

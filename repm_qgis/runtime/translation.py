@@ -20,8 +20,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Callable, Dict, Iterator, List, Mapping, NamedTuple, Optional, Sequence
 
+from ..contracts.data_folder import DATA_FOLDER
 from ..contracts.errors import OptionError
-from .data_folder import DATA_FOLDER
 
 SOURCE_LANGUAGE = "en"
 _FOLDER = DATA_FOLDER / "i18n"

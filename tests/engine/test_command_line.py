@@ -132,6 +132,14 @@ def test_a_failure_is_one_sentence_and_a_mistake_in_a_word_is_the_parsers(as_whe
     assert missing.returncode == 1 and "SCENE" in missing.stderr
 
 
+def test_a_missing_package_of_a_wheel_is_not_for_qgis_to_install(as_wheel, tmp_path):
+    (tmp_path / "osgeo.py").write_text("raise ModuleNotFoundError(\"No module named 'osgeo'\", name='osgeo')\n")
+    place = f"{tmp_path}{os.pathsep}{as_wheel}"
+    done = run(place, "inspect", "--images", "a.tif", cwd=tmp_path)
+    assert done.returncode == 1 and "'osgeo' is not installed" in done.stderr
+    assert "install it with pip, but GDAL's bindings with the system's packages or with conda" in done.stderr
+
+
 def test_programs_get_lines_of_json(as_wheel, images, tmp_path):
     done = run(as_wheel, "inspect", "--json", "--images", *images, cwd=tmp_path)
     lines = [json.loads(line) for line in done.stdout.splitlines()]
