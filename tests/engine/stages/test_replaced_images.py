@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from osgeo import gdal
@@ -108,12 +107,12 @@ def test_an_image_that_is_read_for_its_colours(fitted, urban):
     """It is none of the scene's, which knows nothing of it: it is compared with what it was at the beginning."""
     images, options = fitted
     scene = Scene.load(options["scene"])
-    require = dsmfuse._same_images(scene, SimpleNamespace(files=[*images, colours := f"{images[0]}.colours.tif"]))
+    require = dsmfuse._same_images(scene, [*images, colours := f"{images[0]}.colours.tif"])
     with pytest.raises(ImageError, match="colours.tif' was replaced while its colours were read"):
         shutil.copy(urban.images[2], colours)
         require()
     shutil.copy(urban.images[2], colours)
-    require = dsmfuse._same_images(scene, SimpleNamespace(files=[*images, colours]))
+    require = dsmfuse._same_images(scene, [*images, colours])
     require()
     replace_image(colours)
     with pytest.raises(ImageError, match="colours.tif' was replaced"):

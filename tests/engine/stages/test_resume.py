@@ -421,7 +421,7 @@ def test_a_cancelled_fusion_keeps_its_tiles_and_a_failed_one_leaves_nothing(agai
     folder = again.workspace / "reconstructed_fusion"
     assert list(folder.glob("*/*.npz")) and parts(folder) == [] and not os.path.exists(again.output)
 
-    def fail(*arguments):
+    def fail(*arguments, **more):
         raise EmptyResultError("None of 1 cells of the DSM has a height: check the reconstruction's report.")
 
     monkeypatch.setattr("repm_qgis.stages.fusing.write_products", fail)
