@@ -35,7 +35,6 @@ class FirstSteps(QDialog):
     def __init__(self, iface: Any, install: Callable[[], Any]) -> None:
         super().__init__(iface.mainWindow())
         self.setWindowTitle(self.tr("REPM: first steps"))
-        self._dialogs: list[Any] = []
         self._layout = QGridLayout(self)
         self._layout.setColumnStretch(1, 1)
         self._layout.setVerticalSpacing(14)
@@ -110,8 +109,6 @@ class FirstSteps(QDialog):
         """Open an algorithm's dialog with these parameters: progress, log and cancel are Processing's own."""
         import processing
 
-        # Without a reference from here, Python forgets what a dialog is while it is still open.
         dialog = processing.createAlgorithmDialog(algorithm, parameters)
-        self._dialogs.append(dialog)
         dialog.algorithmFinished.connect(finished)
         dialog.show()

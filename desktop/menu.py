@@ -29,7 +29,6 @@ class PluginMenu:
     def __init__(self, iface: Any) -> None:
         self._iface = iface
         self._actions: list[Any] = []
-        self._dialogs: list[Any] = []
         self._panel: Optional[FirstSteps] = None
         self._installer: Optional[InstallDialog] = None
         self._grids: Optional[GeoidGridsDialog] = None
@@ -113,9 +112,7 @@ class PluginMenu:
         """Show an algorithm's dialog."""
         import processing
 
-        dialog = processing.createAlgorithmDialog(algorithm)
-        self._dialogs.append(dialog)  # without a reference from here, Python forgets what a dialog is while it is open
-        dialog.show()
+        processing.createAlgorithmDialog(algorithm).show()
 
     def first_steps(self) -> None:
         if self._panel is None:

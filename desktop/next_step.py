@@ -47,7 +47,6 @@ class NextSteps:
         self._iface: Any = None
         self._bar: Any = None
         self._shown: Any = None
-        self.dialogs: list[Any] = []
         self.edit_dsm: Optional[Callable[[], Any]] = None
         """Shows the panel that edits the active layer; the menu, which has it, puts it here."""
 
@@ -165,10 +164,7 @@ class NextSteps:
         import processing
 
         self.forget()
-        # Without a reference from here, Python forgets what a dialog is while it is still open.
-        dialog = processing.createAlgorithmDialog(f"repm:{algorithm}", dict(given))
-        self.dialogs.append(dialog)
-        dialog.show()
+        processing.createAlgorithmDialog(f"repm:{algorithm}", dict(given)).show()
 
     def forget(self) -> None:
         """Take the message away."""

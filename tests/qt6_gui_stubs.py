@@ -528,12 +528,17 @@ class AlgorithmDialog(AlgorithmDialogBase):
         self.panel = self.getParametersPanel(algorithm, self)
         run = QtWidgets.QPushButton("Run", self)
         run.clicked.connect(lambda: self.runAlgorithm())
+        self._cancel = QtWidgets.QPushButton("Cancel")  # nobody presses it: nothing runs
+        self._cancel.setEnabled(False)
         layout = QtWidgets.QVBoxLayout(self)
         for widget in (self._bar, self.panel, run):
             layout.addWidget(widget)
 
     def algorithm(self):
         return self._algorithm
+
+    def cancelButton(self):
+        return self._cancel
 
     def messageBar(self):
         return self._bar

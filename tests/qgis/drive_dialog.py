@@ -1,10 +1,14 @@
 """Runs inside a real QGIS desktop: what our dialogs add to Processing's, looked at widget by widget."""
 
+import gc
 import os
 import sys
+import weakref
 
+import processing
 from processing.core.ProcessingConfig import ProcessingConfig
 from qgis.core import QgsApplication, QgsProcessingParameterDefinition
+from qgis.PyQt.QtCore import QEvent
 from qgis.PyQt.QtWidgets import (
     QAbstractSpinBox,
     QApplication,
@@ -52,6 +56,24 @@ def listed(panel, name):
 def shown(panel):
     QApplication.processEvents()
     return [name for name in COLMAP if panel.wrappers[name].wrappedWidget().isVisible()]
+
+
+def kept_while_shown():
+    """Whether Python still has a dialog that only Qt refers to: while it is shown, and after that."""
+    dialog = processing.createAlgorithmDialog("repm:inspect")
+    dialog.show()
+    QApplication.processEvents()
+    there = weakref.ref(dialog)
+    states = []
+    for close in (False, True):
+        if close:
+            dialog.close()
+            QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+        dialog = None
+        gc.collect()
+        states.append(there() is not None)
+        dialog = there()
+    return states
 
 
 @guarded
@@ -126,6 +148,7 @@ def look():
     FOUND["not refined"] = taken if isinstance(taken, str) else ""  # QGIS has a NULL of its own
     panel.setParameters({"SCENE": FOUND["scene"]})
     FOUND["tiles"], _ = offered(panel, "TILE")
+    FOUND["kept"] = kept_while_shown()
     finish()
 
 

@@ -12,7 +12,7 @@ from qgis.utils import iface, loadPlugin, plugins, startPlugin, unloadPlugin
 sys.path.insert(0, os.environ["REPM_DESKTOP_DRIVERS"])
 from desktop_steps import FOUND, PLAN, begin, finish, guarded, picture  # noqa: E402
 
-FOUND.update(name="helpers", log=[], asked=0)
+FOUND.update(name="helpers", log=[])
 
 
 @guarded
@@ -61,17 +61,10 @@ def run_batch(dialog):
 
     algorithm = QgsApplication.processingRegistry().createAlgorithmById("repm:inspect")
     batch = BatchAlgorithmDialog(algorithm, iface.mainWindow())
-    name = "loadHtmlResults" if hasattr(batch, "loadHtmlResults") else "loadHTMLResults"  # QGIS 3.22
-    load = getattr(type(batch), name)
-
-    def noted(self, *given):
-        FOUND["asked"] += 1
-        return load(self, *given)
-
-    setattr(type(batch), name, noted)
     rows, panel = PLAN["rows"], batch.mainWidget()
     panel.batchRowCount = lambda: len(rows)
     panel.parametersForRow = lambda row, *_, **__: (rows[row], True)
+    batch.show()  # QGIS 3.44 lets go of one that nobody sees as soon as its first row is done, and shows no pages
     batch.runAlgorithm()
     look_at_pages(batch, resultsList)
 

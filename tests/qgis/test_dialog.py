@@ -51,6 +51,7 @@ def test_dialogs_offer_what_is_known_and_hide_what_does_not_matter(desktop_start
     assert found["lists"] == plan["lists"]
     assert not found["not refined"]  # what this stage could not begin with is not taken up
     assert len(found["tiles"]) >= 1 and found["tiles"] != found["no views"]
+    assert found["kept"] == [True, False]
 
 
 def test_german_dialogs_fit_too(desktop_start, tmp_path):
