@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from functools import partial
 from pathlib import Path
-from typing import Any, Callable, List, Sequence, Tuple
+from typing import Any, Callable, List, Sequence
 
 import numpy as np
 from osgeo import gdal
@@ -17,7 +17,7 @@ from benchmarks.tables import Section, table
 from repm_qgis.geometry.frames import utm_crs
 from repm_qgis.numerics.robust import nmad
 from repm_qgis.rpc.writers import rpc_tags
-from repm_qgis.scene import View, load_views
+from repm_qgis.scene import View, load_views, middle_of
 
 _KERNELS = ("cubic", "cubicspline", "lanczos", "bilinear")
 _CELL = 0.5
@@ -86,7 +86,7 @@ def ortho_ready() -> List[str]:
     with tempfile.TemporaryDirectory() as folder:
         trial = _Trial(scene.images, folder)
         first = trial.views[0]
-        crs = utm_crs(*_middle(first)[:2])
+        crs = utm_crs(*middle_of(trial.views))
         height_m = float(np.mean(first.rpc.height_range)) + 50.0
         for kernel in few(_KERNELS):
             trial.add(f"moved by half a pixel, {kernel}", partial(_moved, kernel=kernel))
@@ -106,11 +106,6 @@ def ortho_ready() -> List[str]:
         "RPC's heights.",
         table("images | NMAD, m | median, m | mean of absolute differences, m", rows),
     ]
-
-
-def _middle(view: View) -> Tuple[float, float, float]:
-    lon, lat, height = view.rpc.localise((np.array(view.size) - 1) / 2, float(np.mean(view.rpc.height_range)))
-    return float(lon), float(lat), float(height)
 
 
 SECTIONS = [Section("ortho_ready", "Ortho-ready products", "make bench-ortho_ready", {"ortho_ready": ortho_ready})]

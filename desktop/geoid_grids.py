@@ -27,15 +27,19 @@ class Grid(NamedTuple):
     size_mb: int
 
 
+def _datadir() -> Any:
+    """pyproj's module of PROJ's folders, whose types leave some of its functions out."""
+    return importlib.import_module("pyproj.datadir")
+
+
 def user_folder() -> str:
     """The folder of the user's own grids; PROJ looks there without a restart."""
-    datadir: Any = importlib.import_module("pyproj.datadir")
-    return str(datadir.get_user_data_dir(create=True))
+    return str(_datadir().get_user_data_dir(create=True))
 
 
 def is_there(name: str) -> bool:
     """Whether PROJ has a grid."""
-    datadir: Any = importlib.import_module("pyproj.datadir")
+    datadir = _datadir()
     folders = os.pathsep.join((datadir.get_data_dir(), datadir.get_user_data_dir()))
     return any(os.path.exists(os.path.join(folder, name)) for folder in folders.split(os.pathsep) if folder)
 

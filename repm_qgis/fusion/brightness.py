@@ -84,12 +84,10 @@ def lights(
     for view, stretch, slope in zip(witnesses.views, witnesses.stretches, witnesses.slopes):
         if count == parameters.views:
             return
-        if (
-            pixel_window(
-                view.project, to_geodetic, grid.bounds, altitudes=witnesses.altitudes, size=view.size, smallest=1
-            )
-            is None
-        ):
+        shown = pixel_window(
+            view.project, to_geodetic, grid.bounds, altitudes=witnesses.altitudes, size=view.size, smallest=1
+        )
+        if shown is None:
             continue
         with opened_masked(view.image, view.mask) as dataset:
             # OpenCV resamples at 32nds of a pixel, counted from the window that is read: these are the same in any.

@@ -160,12 +160,8 @@ class WaterParameters(Parameters):
     window_cells: int = 5  # side of the window of a roughness
     index_bins: int = 200  # of the index of water from -1 to 1: narrower than its noise
     most_cuts: int = 8  # of the index, each through the upper part of the one before
-    enriched: float = (
-        3.0  # times as often must what is water lie in ground that could not be matched as in other ground
-    )
-    valley: float = (
-        0.5  # of the frequency of water's own index, and less, at the threshold: shadows run on, water stands apart
-    )
+    enriched: float = 3.0  # times as frequent as among matched cells must water be among those that were not
+    valley: float = 0.5  # of the frequency of water's own index, at most, at the threshold: shadows have no such gap
     infrared_percentile: float = 50.0  # of land: what is brighter in the near infrared is a cloud or snow
     least_empty: float = 0.5  # of a body: roofs of metal may look like water, but are matched
     shore_m: float = 3.0  # width of the strip around water that says how high the water is,

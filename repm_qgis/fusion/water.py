@@ -183,7 +183,7 @@ def _looks_of_water(
     """Which cells look like water, which certainly not, and what says so: the index of water wherever an image shows
     it, of matched cells as well, and darkness of ``empty`` ones elsewhere."""
     looks, evidence, known = np.zeros(grid.shape, bool), "", np.zeros(grid.shape, bool)
-    if spectra is not None and spectra.views:
+    if spectra is not None:
         index, infrared = index_of(spectra, grid, height, check, parameters)
         known = np.isfinite(index)
         looks, threshold = wet_above(index, infrared, land, empty, grid.cell, spectra.calibrated, parameters.water)

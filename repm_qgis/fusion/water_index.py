@@ -12,7 +12,7 @@ stands apart from the rest. Without water there is none.
 
 from __future__ import annotations
 
-from typing import Callable, Iterator, List, Optional, Protocol, Sequence, Tuple
+from typing import Callable, Iterator, List, Optional, Protocol, Tuple
 
 import numpy as np
 
@@ -24,9 +24,6 @@ from .parameters import FUSION, FusionParameters, WaterParameters
 
 class WaterIndex(Protocol):
     """Views that show the index; ``calibrated``: zero is where both bands reflect alike."""
-
-    @property
-    def views(self) -> Sequence[str]: ...
 
     @property
     def calibrated(self) -> bool: ...

@@ -13,10 +13,8 @@ import re
 from dataclasses import dataclass
 from typing import Dict, Iterator, List, Optional, Sequence, Tuple
 
-import numpy as np
 from osgeo import gdal
 
-from ..contracts.arrays import FloatImage
 from ..contracts.errors import RpcError
 from ..rpc.formats import sidecar_text, xml_inside
 from .acquisition import time_sidecars
@@ -38,12 +36,6 @@ class Calibration:
 
     gains: Tuple[float, ...]
     offsets: Tuple[float, ...]
-
-    def applied(self, values: FloatImage) -> FloatImage:
-        """(B, H, W) digital numbers made comparable."""
-        gains, offsets = (np.array(each, np.float32)[:, None, None] for each in (self.gains, self.offsets))
-        found: FloatImage = values * gains + offsets
-        return found
 
 
 def calibration(dataset: gdal.Dataset, path: str, bands: Dict[str, int]) -> Optional[Calibration]:

@@ -53,10 +53,14 @@ class ColourSource:
     offsets: Tuple[float, ...] = ()
 
     @property
+    def coloured(self) -> str:
+        """The image that has the bands."""
+        return self.view.image if self.multispectral is None else self.multispectral.image.image
+
+    @property
     def files(self) -> List[str]:
         """The images that are read."""
-        pair = self.multispectral
-        return [self.view.image] if pair is None else [self.view.image, pair.image.image]
+        return [self.view.image] if self.multispectral is None else [self.view.image, self.coloured]
 
     def colours(
         self,

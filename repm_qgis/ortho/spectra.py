@@ -3,8 +3,8 @@ the orthophoto has its colours from, read in the same way."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Iterator, List, Optional, Tuple
+from dataclasses import dataclass, replace
+from typing import Iterator, List, Tuple
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from ..fusion.parameters import FUSION, FusionParameters
 from ..fusion.visible import blocked
 from ..geometry.cell_grid import CellGrid
 from ..geometry.footprints import ray_slope
-from ..imagery.calibration import Calibration, calibration
+from ..imagery.calibration import calibration
 from ..imagery.raster import opened
 from ..scene import Scene
 from .colour_sources import ColourSource
@@ -22,11 +22,11 @@ from .colour_sources import ColourSource
 @dataclass(frozen=True)
 class Spectra:
     """The views with green and near infrared bands, the most vertical ones first, each with its line of sight (as in
-    :class:`~repm_qgis.fusion.brightness.Witnesses`) and its calibration; all or none have one."""
+    :class:`~repm_qgis.fusion.brightness.Witnesses`); the ``gains`` of a source are its calibration, which all have or
+    none has."""
 
     sources: Tuple[ColourSource, ...]
     slopes: Tuple[FloatArray, ...]
-    calibrations: Tuple[Optional[Calibration], ...]
     crs: str
 
     @classmethod
@@ -35,22 +35,16 @@ class Spectra:
 
         Raises ImageError where an image cannot be opened.
         """
-        found: List[Optional[Calibration]] = []
+        found: List[ColourSource] = []
         for source in sources:
-            pair = source.multispectral
-            path = pair.image.image if pair is not None else source.view.image
+            path = source.coloured
             with opened(path) as dataset:
-                found.append(calibration(dataset, path, dict(zip(("green", "near infrared"), source.bands))))
-        if any(found):
-            sources = tuple(source for source, known in zip(sources, found) if known)
-            found = [known for known in found if known]
+                known = calibration(dataset, path, dict(zip(("green", "near infrared"), source.bands)))
+            if known is not None:
+                found.append(replace(source, gains=known.gains, offsets=known.offsets))
+        sources = tuple(found) or sources
         place, level = np.array([scene.frame.lon, scene.frame.lat]), sum(scene.altitudes) / 2
-        return cls(sources, tuple(ray_slope(s.view, place, level) for s in sources), tuple(found), crs)
-
-    @property
-    def views(self) -> Tuple[str, ...]:
-        """The names of the views."""
-        return tuple(source.view.name for source in self.sources)
+        return cls(sources, tuple(ray_slope(s.view, place, level) for s in sources), crs)
 
     @property
     def files(self) -> List[str]:
@@ -60,7 +54,7 @@ class Spectra:
     @property
     def calibrated(self) -> bool:
         """Whether an index of zero means that both bands reflect alike."""
-        return all(known is not None for known in self.calibrations)
+        return all(source.gains for source in self.sources)
 
     def seen(
         self,
@@ -73,14 +67,12 @@ class Spectra:
         these heights (m above the ellipsoid), NaN where it sees none. Raises ImageError where an image cannot be read.
         """
         p, count, own = parameters.brightness, 0, height[asked.slices]
-        for source, slope, known in zip(self.sources, self.slopes, self.calibrations):
+        for source, slope in zip(self.sources, self.slopes):
             if count == p.views or not np.isfinite(own).any():
                 return
             values = source.colours(grid.part(asked), own, self.crs, parameters.visibility)
             if not np.isfinite(values[0]).any():
                 continue
-            if known is not None:
-                values = known.applied(values)
             hidden = blocked(slope, grid, height, parameters.visibility.clearance_m, p.hidden_cells)[asked.slices]
             green, infrared = np.where(hidden, np.float32(np.nan), values)
             count += 1

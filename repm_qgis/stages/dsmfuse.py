@@ -218,28 +218,16 @@ def _orthophoto(
     it; gives its path."""
     wanted, folder = fusion.options.ortho, str(fusion.folder)
     path, numbers = wanted or f"{folder}/colours.tif", fusion.parameters.ortho
-    if plan:
-        make_colour_ortho(
-            plan,
-            dsm,
-            fusion.options,
-            path=path,
-            folder=folder,
-            progress=progress,
-            parameters=numbers,
-            require_same=require_same,
-        )
-    else:
-        make_grey_ortho(
-            nadir_first(fusion.scene),
-            dsm,
-            fusion.options,
-            path=path,
-            folder=folder,
-            progress=progress,
-            parameters=numbers,
-            require_same=require_same,
-        )
+    make = partial(make_colour_ortho, plan) if plan else partial(make_grey_ortho, nadir_first(fusion.scene))
+    make(
+        dsm,
+        fusion.options,
+        path=path,
+        folder=folder,
+        progress=progress,
+        parameters=numbers,
+        require_same=require_same,
+    )
     if wanted:
         write_style(product("dsmfuse", "ortho").style, wanted, taken=fusion.scene.taken())
     return path

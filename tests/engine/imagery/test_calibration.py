@@ -30,7 +30,7 @@ def ratio(path):
     found = calibration(gdal.Open(str(path)), str(path), BANDS)
     if found is None:
         return None
-    green, infrared = found.applied(np.full((2, 1, 1), 100.0, np.float32)).ravel()
+    green, infrared = np.full(2, 100.0) * found.gains + found.offsets
     return float(infrared / green)
 
 
