@@ -108,7 +108,7 @@ def stages_model() -> QgsProcessingModelAlgorithm:
         {
             "ALG_DESC": "The stages of repm:pipeline one after the other, as a model to take apart. To change a stage, "
             "or to add one of your own, click with the right mouse button on it in the toolbox and choose 'Copy to my "
-            "models and edit...': QGIS can edit only models of your own.",
+            "models and edit…': QGIS can edit only models of your own.",
             "ALG_CREATOR": "The REPM plugin's maintainers",
             "ALG_VERSION": "0.1.0",
             "SHORT_DESCRIPTION": "Make a DSM stage by stage (model)",
