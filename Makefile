@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 TESTS ?= tests
 
-.PHONY: help setup demo test bench bench-faults fuzz mutation identity lint scan site package models i18n pictures clean
+.PHONY: help setup demo test bench bench-faults fuzz mutation identity lint lint-viewer scan site package models i18n pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z0-9%-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -37,10 +37,19 @@ mutation: setup ## small faults in the code that a test must notice (SAMPLE=600,
 		{ echo "mutation: Cosmic Ray could not be installed into $(MUTATION): it needs the Python package index"; exit 1; }
 	@$(MUTATION)/bin/python benchmarks/mutation.py --sample $(or $(SAMPLE),600) --seed $(or $(SEED),1) $(if $(ONLY),--only '$(ONLY)') $(if $(AGAIN),--again)
 
-lint: setup ## ruff's rules and format over everything, and types (mypy: strict for the engine, signatures for benchmarks)
+lint: setup ## ruff's rules and format over everything, types (mypy: strict for the engine, signatures for benchmarks), and lint-viewer
 	@$(PYTHON) -m ruff check .
 	@$(PYTHON) -m ruff format --check --quiet . || { echo "lint: run '$(PYTHON) -m ruff format .'"; exit 1; }
 	@$(PYTHON) -m mypy
+	@$(MAKE) --no-print-directory lint-viewer
+
+LINT := dist/lint/tool
+lint-viewer: ## the scripts of the viewer's page: rules and format (Biome), and types (TypeScript's checker); needs Node 20 with npm
+	@command -v npm > /dev/null || { echo "lint: the scripts of the viewer's page were not checked: that needs Node 20 with npm"; exit 0; }; \
+	[ $(LINT)/node_modules -nt package.json ] || { mkdir -p $(LINT) && cp package.json $(LINT)/ && \
+		npm install --silent --no-package-lock --prefix $(LINT) && touch $(LINT)/node_modules; } || \
+		{ echo "lint: the scripts of the viewer's page were not checked: Biome and TypeScript need the npm registry"; exit 0; }; \
+	$(LINT)/node_modules/.bin/biome check --log-level=warn --error-on-warnings && $(LINT)/node_modules/.bin/tsc
 
 scan: setup ## what plugins.qgis.org would find in the zip: Bandit, secrets, names, modes, metadata
 	@$(PYTHON) scripts/scan

@@ -1,7 +1,7 @@
 """The page: facts, heights and draped rasters as text inside it, with the script that draws them.
 
 Heights are whole numbers of 16 bit, each stored as its difference from the one to the left, low bytes before high
-bytes, deflated; values of other rasters have 8 bit. Both are read again by ``resources/viewer/viewer.js``.
+bytes, deflated; values of other rasters have 8 bit. Both are read again by ``resources/viewer/contents.js``.
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ from ..imagery import raster
 from ..names import surface_title
 from ..reports.pictures import RAMPS, jpeg_bytes, percentile_range
 from ..reports.styles import value_range
-from ..reports.templates import page
+from ..reports.templates import RESOURCES, Drawing, page
 from ..runtime.progress import Progress
 from ..runtime.translation import reader
 from ..runtime.workspace import write_text
 from .parameters import VIEWER, ViewerParameters
+from .script import joined
 from .surface import page_grid, read_draped, read_on, without_holes
 
 _COLOURS = (gdal.GCI_RedBand, gdal.GCI_GreenBand, gdal.GCI_BlueBand)
@@ -89,6 +90,7 @@ def write_viewer(
         title=name or surface_title(options.dsm) or Path(options.dsm).stem,
         version=__version__,
         facts=facts,
+        script=Drawing(joined(RESOURCES / "viewer" / "page.js")),
         whole=list(whole.size),
         means=factor > 1 + 1e-9 or cells.size != whole.size,
         cell=_rounded(cells.transform[1]),

@@ -299,6 +299,8 @@ def test_the_library_is_the_one_that_the_documents_name():
     assert f"TWGL {version.group(1)}" in page and f"esbuild {version.group(2)}" in page
     assert library.startswith(f"/*! TWGL {version.group(1)}".encode()) and b"Permission is hereby granted" in library
     assert len(library) < 100_000
+    checked = json.loads((ROOT / "package.json").read_text(encoding="utf-8"))["devDependencies"]
+    assert checked["twgl.js"] == version.group(1)
 
 
 def test_a_run_with_a_page_drapes_its_own_products(urban_run):
