@@ -15,6 +15,7 @@ from .control_points import ControlPointsDock
 from .documents import open_document
 from .first_steps import FirstSteps, show_once
 from .geoid_grids import GeoidGridsDialog
+from .group_zoom import GroupZoom
 from .hillshades import Hillshades
 from .install import InstallDialog, offer_once
 from .next_step import STEPS
@@ -36,6 +37,7 @@ class PluginMenu:
         self._toolbox_actions = model_copy.register()
         batch_pages.allow_missing_times()
         self._hillshades = Hillshades(iface=iface)
+        self._group_zoom = GroupZoom(iface)
         self._dock: Optional[ControlPointsDock] = None
         self._editor: Optional[SurfaceEditingDock] = None
         STEPS.edit_dsm = self.edit_dsm
@@ -89,6 +91,7 @@ class PluginMenu:
         STEPS.edit_dsm = None
         model_copy.unregister(self._toolbox_actions)
         batch_pages.require_times_again()
+        self._group_zoom.stop()
         self._hillshades.stop()
         self._actions, self._toolbox_actions = [], []
 

@@ -6,6 +6,7 @@ import sys
 from qgis.core import QgsApplication, QgsProcessingUtils, QgsProject, QgsRasterLayer
 from qgis.gui import QgsMapLayerComboBox, QgsMapToolIdentify
 from qgis.PyQt.QtCore import Qt, QTimer
+from qgis.PyQt.QtGui import QContextMenuEvent
 from qgis.PyQt.QtWidgets import QApplication, QComboBox
 from qgis.utils import iface, plugins
 
@@ -121,9 +122,43 @@ def drag():
     QTimer.singleShot(500, dragged)
 
 
+def zoom_to_group():
+    """By the entry of the menu that a right click shows; QGIS's own would crash here."""
+    view, canvas = iface.layerTreeView(), iface.mapCanvas()
+    group = ROOT.findGroup("elsewhere")
+    index = view.node2index(group)
+    view.scrollTo(index)
+    view.setCurrentIndex(index)
+    before = canvas.extent()
+    canvas.setExtent(before.scaled(9.0))
+    place = view.visualRect(index).center()
+    chosen = []
+
+    def choose():
+        menu = QApplication.activePopupWidget()
+        if menu is None:
+            QTimer.singleShot(100, choose)
+            return
+        chosen.extend(each for each in menu.actions() if each.text().replace("&", "") == "Zoom to Group")
+        for each in chosen:
+            each.trigger()
+        menu.close()
+
+    QTimer.singleShot(100, choose)
+    event = QContextMenuEvent(
+        QContextMenuEvent.Reason.Mouse, place, view.viewport().mapToGlobal(place), Qt.KeyboardModifier.NoModifier
+    )
+    QApplication.sendEvent(view.viewport(), event)
+    (layer,) = (node.layer() for node in group.findLayers() if node.name() == "DSM town")
+    FOUND["zoomed"] = [len(chosen), canvas.extent().width() / layer.extent().width()]
+    FOUND["zoomed"].append(canvas.extent().contains(layer.extent()))
+    canvas.setExtent(before)
+
+
 @guarded
 def dragged():
     FOUND["dragged"] = [all_there_is()]
+    zoom_to_group()
     model = iface.layerTreeView().layerTreeModel()
     PROJECT.layerTreeRoot().insertGroup(0, "outer")
     group = ROOT.findGroup("elsewhere")

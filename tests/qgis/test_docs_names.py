@@ -23,12 +23,12 @@ PAGES = {
     "de": [DOCS / "de" / "guide.md", DOCS / "de" / "tutorial.md", *sorted((HELP / "de").glob("*.md"))],
 }
 
-# QGIS's own names, with the place that its translations have them under.
+# QGIS's own names, with the places that the translations of its versions have them under.
 OF_QGIS = {
     "&Plugins": "MainWindow",
     "&View": "MainWindow",
     "New &3D Map View": "MainWindow",
-    "Configure…": "Qgs3DMapCanvasDockWidget",
+    "Configure…": "Qgs3DMapCanvasDockWidget Qgs3DMapCanvasWidget",
     "DEM (Raster Layer)": "Qgs3DMapConfigWidget",
     "Select Features by Expression…": "MainWindow",
     "&Settings": "MainWindow",
@@ -36,6 +36,8 @@ OF_QGIS = {
     "Network": "QgsOptionsBase",
     "Processing": "ProcessingPlugin",
     "Providers": "ConfigDialog",
+    "&Zoom to Group": "QgsLayerTreeViewDefaultActions",
+    "Draw on Canvas": "QgsExtentWidget QgsExtentGroupBoxWidget",
     "Styles": "QgsAppLayerTreeViewMenuProvider",
     "Advanced Parameters": "QgsProcessingParametersWidgetBase",
     "Run": "QgsProcessingAlgorithmDialogBase",
@@ -46,7 +48,6 @@ OF_QGIS = {
     "Fill value": "QObject",
     "Processing Toolbox": "ProcessingToolbox",
     "&Results Viewer": "ProcessingPlugin",
-    "Terrain elevation offset": "Map3DConfigWidget",
     "&Layer": "MainWindow",
     "Add Layer": "MainWindow",
     "Add Point Cloud Layer...": "MainWindow",
@@ -54,9 +55,11 @@ OF_QGIS = {
 }
 # As OF_QGIS, of later versions: the first version that has it, the place, and the German word.
 LATER = {
-    "3D Map Views": (32400, "MainWindow", "3D-Kartenansichten"),
-    "Elevation Profile": (32600, "MainWindow", "Höhenprofil"),
+    "&3D Map Views": (32400, "MainWindow", "&3D-Kartenansichten"),
+    "Elevation Profile": (32600, "MainWindow", "Geländehöhenprofil"),
 }
+# German words that differ between versions of QGIS: a page may have any of them.
+OF_VERSIONS = {"Run": {"Starten", "Starte"}}
 # What is stressed or cited, and names nothing: each of them is written somewhere.
 CITED = {
     "Core Imagery Products Guide",
@@ -140,15 +143,20 @@ def of_results(collector, language: str) -> set[str]:
 
 def of_qgis(language: str) -> set[str]:
     """QGIS's names, each looked up in its own translations."""
-    known = {text: place for text, place in OF_QGIS.items()}
-    known.update({text: place for text, (first, place, _) in LATER.items() if Qgis.versionInt() >= first})
+    known = {text: places.split() for text, places in OF_QGIS.items()}
+    known.update({text: [place] for text, (first, place, _) in LATER.items() if Qgis.versionInt() >= first})
     newer = {text: word for text, (_, _, word) in LATER.items() if text not in known}
     german = QTranslator()
     assert german.load(str(pathlib.Path(QgsApplication.i18nPath()) / "qgis_de.qm")), "QGIS's translations are missing"
-    words = {text: german.translate(place, text.encode()) for text, place in known.items()}
+    words = {
+        text: next(filter(None, (german.translate(place, text.encode()) for place in places)), "")
+        for text, places in known.items()
+    }
     assert all(words.values()), f"QGIS has no such text: {[text for text, word in words.items() if not word]}"
     words.update(newer)
-    return {bare(text) for text in (words if language == "en" else words.values())}
+    assert all(words[text] in forms for text, forms in OF_VERSIONS.items())
+    shown = list(words) if language == "en" else [*words.values(), *set().union(*OF_VERSIONS.values())]
+    return {bare(text) for text in shown}
 
 
 def wrong_in(page: pathlib.Path, menu: set[str], shown: set[str], stressed: set[str]) -> list[str]:

@@ -191,7 +191,7 @@ def test_hillshades_of_older_projects_are_taken_out_of_them(plugin, dsm):
     not (shutil.which("xvfb-run") and shutil.which("qgis")), reason="needs QGIS's desktop and xvfb-run ('make setup')"
 )
 def test_one_layer_in_the_desktop(desktop_start, dsm, tmp_path):
-    found = desktop_start("drive_hillshades.py", {"dsm": dsm, "project": str(tmp_path / "p.qgz")}, seconds=120)
+    found = desktop_start("drive_hillshades.py", {"dsm": dsm, "project": str(tmp_path / "p.qgz")}, seconds=300)
     for name, groups in (("first", []), ("reopened", ["outer", "elsewhere"])):
         seen = found[name]
         assert seen["project"] == seen["combo"] == seen["processing"] == [DSM], name
@@ -204,6 +204,8 @@ def test_one_layer_in_the_desktop(desktop_start, dsm, tmp_path):
     assert found["action"] == [True, False] and found["without"] == found["plain"]
     assert [seen["place"] for seen in found["dragged"]] == [[SHADE, DSM]] * 2
     assert all(seen["drawn"] == found["first"]["drawn"] for seen in found["dragged"])
+    entries, wider, inside = found["zoomed"]
+    assert entries == 1 and 1.04 < wider < 3.0 and inside
     assert found["stored"] and found["after writing"] == [SHADE, DSM] and found["new"] == [True, 0]
     assert not found["dirty"]
     assert found["unloaded"] == [[DSM], found["plain"]] and found["left"] == 0
