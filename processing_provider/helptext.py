@@ -17,17 +17,12 @@ _WIDTH_PX = 230  # of the panel as QGIS first opens it
 
 def inline(text: str) -> str:
     """Bold, italic, code and links of one paragraph."""
-    return "".join(
-        f"<code>{html.escape(part, quote=False)}</code>" if index % 2 else _marked(part)
-        for index, part in enumerate(re.split(r"`([^`]+)`", text))
-    )
-
-
-def _marked(text: str) -> str:
-    text = html.escape(text, quote=False)
-    text = re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", text)
+    codes = re.findall(r"`([^`]+)`", text)
+    text = html.escape(re.sub(r"`[^`]+`", "\1", text), quote=False)  # code may have any sign, and be in bold or links
+    text = re.sub(r"\*\*(.+?)\*\*(?!\*)", r"<strong>\1</strong>", text)
     text = re.sub(r"\*([^*]+)\*", r"<i>\1</i>", text)
-    return re.sub(r"\[([^\]]+)\]\(([^)\s]+)\)", r'<a href="\2">\1</a>', text)
+    text = re.sub(r"\[([^\]]+)\]\(([^)\s]+)\)", r'<a href="\2">\1</a>', text)
+    return re.sub("\1", lambda _: f"<code>{html.escape(codes.pop(0), quote=False)}</code>", text)
 
 
 def _picture(block: str, folder: str) -> str:

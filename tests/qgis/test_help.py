@@ -10,6 +10,7 @@ import subprocess
 import sys
 import urllib.parse
 import zipfile
+from html.parser import HTMLParser
 
 import pytest
 from qgis.core import QgsApplication
@@ -82,13 +83,67 @@ def test_small_things_of_markdown_become_html(plugin):
     from repm.processing_provider.helppages import PLUGIN_FOLDER, to_page
 
     lists, table = "1. a *b*\n2. `c*d` and `e*f`", "| input | |\n|---|---|\n| A, B | x \\ y |"
-    text = f"# T\n\n{lists}\n\n{table}\n\n```\nq <b>\n```\n[k](z.md#t)"
+    text = f"# T\n\n{lists}\n\n{table}\n\n```\nq <b>\n\nr\n```\n[k](z.md#t)\n<!-- made -->\n**l `m*` *n*** [`o`](p.md)"
     page = to_page(text, f"{PLUGIN_FOLDER}/docs", {"A": "Label <a>"}, {"A": "", "C": "More."})
     assert '<h1 id="t">T</h1>' in page and "<li>a <i>b</i></li>" in page
     assert "<code>c*d</code> and <code>e*f</code>" in page
     assert "<strong>Label &lt;a&gt;</strong><br><code>A</code><br>B" in page
-    assert "<pre>q &lt;b&gt;</pre>" in page and '<a href="z.html#t">k</a>' in page
+    assert "<pre>q &lt;b&gt;\n\nr</pre>" in page and '<a href="z.html#t">k</a>' in page and "made" not in page
+    assert '<strong>l <code>m*</code> <i>n</i></strong> <a href="p.html"><code>o</code></a>' in page
     assert "Further parameters" in page and "More." in page
+
+
+class Structure(HTMLParser):
+    """Elements and words in their order, without attributes, and without what changes nothing that is seen."""
+
+    def __init__(self, text):
+        super().__init__(convert_charrefs=True)
+        self.found, self.open = [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        if tag not in ("img", "br"):
+            self.open.append(tag)
+        self._add(tag, "<")
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+
+    def handle_endtag(self, tag):
+        self._add(tag, "</")
+        self.open.remove(tag)
+
+    def _add(self, tag, mark):
+        unseen = tag == "div" or (tag == "p" and "li" in self.open) or (tag == "code" and "pre" in self.open)
+        if not unseen:
+            self.found.append(mark + {"em": "i"}.get(tag, tag))
+        if self.found[-2:] == ["</strong", "</i"]:
+            self.found[-2:] = ["</i", "</strong"]
+
+    def handle_data(self, data):
+        code = "pre" in self.open
+        # Bold italic is italic bold.
+        if self.found[-2:] == ["<strong", "<i"]:
+            self.found[-2:] = ["<i", "<strong"]
+        self.found += [line for line in data.split("\n") if line.strip()] if code else data.split()
+
+
+DOCUMENTS = [*(ROOT / "docs").rglob("*.md"), *(ROOT / "resources" / "help").rglob("*.md")]
+
+
+def test_documents_have_the_structure_that_a_renderer_of_markdown_gives_them(plugin):
+    """markdown-it-py (CommonMark, with tables) is the judge; it is a package of ours for tests alone."""
+    from repm.processing_provider.helppages import PLUGIN_FOLDER, to_page
+
+    markdown_it = pytest.importorskip("markdown_it", reason="needs markdown-it-py, which make setup installs")
+    judge = markdown_it.MarkdownIt("commonmark", {"html": False}).enable("table")
+    assert len(DOCUMENTS) > 70
+    for path in DOCUMENTS:
+        text = path.read_text(encoding="utf-8")
+        page = re.search(r"(?s)<main>(.*)</main>", to_page(text, f"{PLUGIN_FOLDER}/docs"))[1]
+        visible = re.sub(r"(?ms)^<!--.*?-->$", "", text)
+        assert Structure(page).found == Structure(judge.render(visible)).found, path.name
 
 
 def examples(name):
