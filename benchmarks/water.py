@@ -11,11 +11,14 @@ from osgeo import gdal
 from benchmarks.runner import few, pipeline, say
 from benchmarks.scenes import CACHE, SHARED, made_once
 from benchmarks.tables import Section, table
-from benchmarks.water_and_clouds import LAND, WATER, make_pair
+from benchmarks.water_and_clouds import DARK, LAND, WATER, make_pair
+from repm_qgis.runtime.progress import Silent
+from repm_qgis.stages import run_stage
 
 _WET = (("urban", 5, "lakes"), ("mountains", 6, "lakes"), ("mountains", 5, "river"), ("urban", 5, "lakes, XS"))
 _WET += (("mountains", 6, "lakes, XS"),)
 _SIZE = 700
+_PATCHES = (("urban", 5, False), ("mountains", 6, False), ("mountains", 6, True))
 _DRY = {
     "jax_068, three views": [f"jax_068/JAX_068_{number}_RGB.tif" for number in ("009", "011", "012")],
     "pleiades_pair": [f"pleiades_pair/img_0{number}.tif" for number in (1, 2)],
@@ -99,4 +102,46 @@ def water() -> List[str]:
     ]
 
 
-SECTIONS = [Section("water", "Lakes and rivers", "make bench-water", {"water": water})]
+def _patches(kind: str, seed: int, lakes: bool) -> List[List[Any]]:
+    """What share of dark patches, of lakes and of other land is taken for water, with XS and without."""
+    name = f"dark_{kind}_{seed}{'_lakes' * lakes}_{_SIZE}"
+    folder, made = CACHE / name, CACHE / f"{name}_water"
+
+    def simulate() -> None:
+        pair = make_pair(str(folder), kind, _SIZE, seed=seed, water=lakes, clouds=False, xs=True, dark=True)
+        np.save(folder / "classes.npy", pair.classes)
+
+    def measure() -> None:
+        found = _made([str(folder / f"img_0{number}.tif") for number in (1, 2)], made)
+        grey = {"colour": "greys", "output": f"{made}/grey.tif", "water_mask": f"{made}/grey_water.tif"}
+        run_stage("dsmfuse", {"scene": found["scene"], "resolution": 0.5, "workers": 1, **grey}, Silent())
+
+    made_once(folder, simulate)
+    made_once(made, measure)
+    truth = gdal.Open(str(folder / "truth.tif"))
+    classes = np.load(folder / "classes.npy")[: truth.RasterYSize, : truth.RasterXSize]
+    rows = []
+    for given, file in (("XS", "water.tif"), ("no XS", "grey_water.tif")):
+        water = _on(made / file, truth, 255) == 1
+        of = {**DARK, "land": LAND, **(WATER if lakes else {})}
+        shares = {each: 100 * float(water[classes == number].mean()) for each, number in of.items()}
+        cells = [f"{shares[each]:.1f}" if each in shares else "" for each in (*DARK, *WATER)]
+        rows.append([f"{kind}, seed {seed}{', lakes' * lakes}", given, *cells, f"{shares['land']:.3f}"])
+    return rows
+
+
+def dark() -> List[str]:
+    say("water: dark patches of dry ground")
+    rows = [row for case in few(_PATCHES) for row in _patches(*case)]
+    return [
+        f"Simulated pairs of {_SIZE} px, without clouds, with two dark patches of 0.4 ha that have no texture: shade "
+        "on ground of one colour, and tarmac in the sun (`benchmarks/water_and_clouds.py`). Per cent of each that is "
+        "taken for water.",
+        table("pair | images | shade | tarmac | still water | ripples | glint | murky | other land", rows),
+    ]
+
+
+SECTIONS = [
+    Section("water", "Lakes and rivers", "make bench-water", {"water": water}),
+    Section("dark_ground", "Dark ground that looks like water", "make bench-water", {"dark": dark}),
+]

@@ -23,6 +23,7 @@ from repm_qgis.rpc.model import Rpc
 from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.gcps import common_square
+from repm_qgis.simulation.parameters import LightParameters
 from repm_qgis.simulation.render import render_view
 from repm_qgis.simulation.scene import (
     SceneSpec,
@@ -39,12 +40,14 @@ from repm_qgis.simulation.surface import SimulatedSurface, Sun, fractal
 LAND, RIM = 0, 9
 WATER = {"still": 1, "ripples": 2, "glint": 3, "murky": 5}
 CLOUD = 4
+DARK = {"shade": 6, "tarmac": 7}
 
 _WATER_DN = 150.0  # haze and little more
 _RIPPLES_DN = {"still": 0.0, "ripples": 8.0, "glint": 120.0, "murky": 30.0}
 _MURKY_DN = 450.0  # and more
 _CLOUD_DN = 3300.0
 _RIM_ALPHA = (0.02, 0.5)
+_DARK_ALBEDO = {"shade": 0.18, "tarmac": 0.045}
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,8 @@ class Disturbed:
 LAKES = {"still": (-0.25, 0.24, 0.1), "ripples": (0.24, 0.24, 0.1), "glint": (0.02, -0.26, 0.1)}
 """East, north and radius as shares of the scene's side."""
 MORE_LAKES = {**LAKES, "murky": (0.0, 0.03, 0.1)}
+PATCHES = {"shade": (-0.27, -0.29, 0.1), "tarmac": (0.28, -0.29, 0.1)}
+"""Of dark ground, between the lakes."""
 
 
 def make_pair(
@@ -82,12 +87,14 @@ def make_pair(
     clouds: bool = True,
     river: bool = False,
     xs: bool = False,
+    dark: bool = False,
     sun_deg: float = Sun().elevation_deg,
 ) -> Disturbed:
     """Simulate a pair 20 degrees apart with three lakes, or a river in their place, and two clouds, or without them.
 
     ``xs``: with a fourth lake, of murky water, and a multispectral image of a quarter of the resolution beside each
-    view, its name in the vendors' manner. ``sun_deg`` is the sun's elevation.
+    view, its name in the vendors' manner. ``dark``: with a patch of shade and one of tarmac. ``sun_deg`` is the sun's
+    elevation.
     """
     spec = SceneSpec.default(kind, size, seed)
     spec = replace(spec, sun=replace(spec.sun, elevation_deg=sun_deg))
@@ -99,6 +106,8 @@ def make_pair(
     if water or river:
         lakes_of = MORE_LAKES if xs else LAKES
         surface, lakes = _with_river(surface, size * gsd) if river else _with_lakes(surface, size * gsd, lakes_of)
+    if dark:
+        surface = _with_patches(surface, size * gsd, spec.sun, lakes)
     fits = fit_view_rpcs(views, surface.height_range())
     square = common_square(surface, views, spec.surface_step)
     os.makedirs(folder, exist_ok=True)
@@ -131,7 +140,7 @@ def _multispectral(
         paths.append(os.path.join(folder, f"img_{number + 1:02d}_XS.tif"))
         planes, seen = [], _rippled(surface, lakes, spec.seed + number)
         for index, name in enumerate(BANDS):
-            lit = in_band(surface, spec, name, cover, _reflected(seen, lakes, name))
+            lit = in_band(surface, spec, name, cover, _reflected(seen, spec.sun, lakes, name))
             strips = render_view(lit, view, spec.seed + 50 * index + number, Silent())
             pixels, alpha = np.concatenate([strip for _, strip in strips]), np.zeros(view.size[::-1])
             tone = BANDS[name].white_dn / surface.light.sun_dn
@@ -142,14 +151,19 @@ def _multispectral(
     return paths
 
 
-def _reflected(seen: SimulatedSurface, lakes: np.ndarray, name: str) -> np.ndarray:
-    """What the water of a view's surface reflects in a band, NaN on land: its own colour, and the waves' grey."""
+def _reflected(seen: SimulatedSurface, sun: Sun, lakes: np.ndarray, name: str) -> np.ndarray:
+    """What the water of a view's surface reflects in a band, its own colour and the waves' grey, and what dark patches
+    do; NaN on other land."""
     band = BANDS[name]
     found = np.full(lakes.shape, np.nan, np.float32)
     for kind, number in WATER.items():
         own, grey = (band.murky, _MURKY_DN) if kind == "murky" else (band.clear, _WATER_DN)
         waves = (seen.radiance - grey) / seen.light.sun_dn
         found = np.where(lakes == number, np.maximum(own + waves, 0.002), found)
+    for kind, number in DARK.items():
+        grey = (seen.radiance - seen.light.haze_dn) / seen.light.sun_dn / _light_on(kind, sun, seen.light, 1.0)
+        lit = band.bare * grey * _light_on(kind, sun, seen.light, band.sky)
+        found = np.where(lakes == number, lit, found)
     return found
 
 
@@ -178,6 +192,32 @@ def _with_lakes(
         height[inside] = np.percentile(surface.height[inside], 2) - 0.5
     shade = np.where(lakes > 0, -1e3, surface.shade) if surface.shade.shape == lakes.shape else surface.shade
     return replace(surface, height=height, shade=shade.astype(np.float32)), lakes
+
+
+def _with_patches(surface: SimulatedSurface, side: float, sun: Sun, lakes: np.ndarray) -> SimulatedSurface:
+    """The surface with the patches of dark ground, which are entered among the ``lakes``; a town has none of its houses
+    on them."""
+    rows, columns = surface.height.shape
+    x = (np.arange(columns) - (columns - 1) / 2) * surface.cell
+    y = ((rows - 1) / 2 - np.arange(rows)) * surface.cell
+    height, radiance, light = surface.height.copy(), surface.radiance.copy(), surface.light
+    tones = 1 + 0.003 * fractal(np.random.default_rng(12), height.shape, surface.cell, 30.0, 4.0)
+    for name, (east, north, radius) in PATCHES.items():
+        dx, dy = x[None, :] - east * side, y[:, None] - north * side
+        inside = np.hypot(dx, dy) < radius * side * (1 + 0.2 * np.sin(2 * np.arctan2(dy, dx)))
+        lakes[inside] = DARK[name]
+        if np.isfinite(surface.wall_m):
+            height[inside] = np.percentile(surface.height[inside], 10) + 0.02 * dx.repeat(rows, axis=0)[inside]
+        lit = _light_on(name, sun, light, 1.0)
+        radiance[inside] = (light.haze_dn + light.sun_dn * _DARK_ALBEDO[name] * lit * tones)[inside]
+    dry = (lakes != DARK["shade"]) & (lakes != DARK["tarmac"])
+    shade = np.where(dry, surface.shade, -1e3) if surface.shade.shape == lakes.shape else surface.shade
+    return replace(surface, height=height, radiance=radiance, shade=shade.astype(np.float32))
+
+
+def _light_on(name: str, sun: Sun, light: LightParameters, sky: float) -> float:
+    """What light falls on a patch, as a share of the sun's, in a band in which the sky is so bright."""
+    return float(sun.direction()[2]) * (name == "tarmac") + light.sky_share * sky
 
 
 def _with_river(surface: SimulatedSurface, side: float) -> Tuple[SimulatedSurface, np.ndarray]:

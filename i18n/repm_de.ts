@@ -1328,8 +1328,8 @@
         <translation>Satellitenbilder mit RPC</translation>
     </message>
     <message>
-        <source>Two or more images of the same ground in sensor geometry (level Basic, Sensor or Primary), or ortho-ready, each with its RPC in the file or beside it. A tile stands for its whole image, and the path of a folder, a ZIP file or a STAC item, as it was delivered, for the images in it.</source>
-        <translation>Zwei oder mehr Bilder desselben Bodens in Sensorgeometrie (Stufe Basic, Sensor oder Primary) oder „ortho-ready“, jedes mit seinem RPC in der Datei oder daneben. Eine Kachel steht für ihr ganzes Bild, und der Pfad eines Ordners, einer ZIP-Datei oder eines STAC-Eintrags, wie geliefert, für die Bilder darin.</translation>
+        <source>Two or more images of the same ground in sensor geometry (level Basic, Sensor or Primary), or ortho-ready, each with its RPC in the file or beside it. A tile stands for its whole image, and the path of a folder, a ZIP or TAR file or a STAC item, as it was delivered, for the images in it.</source>
+        <translation>Zwei oder mehr Bilder desselben Bodens in Sensorgeometrie (Stufe Basic, Sensor oder Primary) oder „ortho-ready“, jedes mit seinem RPC in der Datei oder daneben. Eine Kachel steht für ihr ganzes Bild, und der Pfad eines Ordners, einer ZIP- oder TAR-Datei oder eines STAC-Eintrags, wie geliefert, für die Bilder darin.</translation>
     </message>
     <message>
         <source>RPC files</source>

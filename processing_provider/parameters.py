@@ -120,7 +120,7 @@ class Images(QgsProcessingParameterMultipleLayers):
         """
         every = [*IMAGE_ENDS, *(end.upper() for end in IMAGE_ENDS)]
         images = " ".join(f"*{end}" for end in every)
-        products = " ".join(("*TIL", "*til", "DIM*XML", "*zip", "*ZIP", "*json", "*geojson"))
+        products = " ".join(("*TIL", "*til", "DIM*XML", "*zip", "*ZIP", "*tar", "*TAR", "*json", "*geojson"))
         groups = (
             (tr("Images and products"), f"{images} {products}"),
             (tr("Images"), images),
@@ -202,7 +202,7 @@ def images(least: int = 2) -> QgsProcessingParameterDefinition:
         tr(
             "Two or more images of the same ground in sensor geometry (level Basic, Sensor or Primary), or "
             "ortho-ready, each with its RPC in the file or beside it. A tile stands for its whole image, and the path "
-            "of a folder, a ZIP file or a STAC item, as it was delivered, for the images in it."
+            "of a folder, a ZIP or TAR file or a STAC item, as it was delivered, for the images in it."
         ),
     )
 

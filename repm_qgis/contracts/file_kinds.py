@@ -24,8 +24,15 @@ def is_ply(path: str) -> bool:
 
 
 def is_archive(path: str) -> bool:
-    """Whether a path is that of an archive as products are delivered in, by its name."""
-    return path.lower().endswith(".zip") and not path.startswith("/vsi")
+    """Whether a path is that of an archive whose images can be read where they are, by its name."""
+    return path.lower().endswith((".zip", ".tar")) and not path.startswith("/vsi")
+
+
+def is_packed_whole(path: str) -> bool:
+    """Whether a path is that of an archive that is compressed from end to end, so that reading any image in it means
+    to unpack all that lies before."""
+    ends = (".tar.gz", ".tgz", ".tar.bz2", ".tbz2", ".tar.xz", ".txz", ".7z", ".rar")
+    return path.lower().endswith(ends) and not path.startswith("/vsi")
 
 
 def is_catalogue(path: str) -> bool:
@@ -35,4 +42,4 @@ def is_catalogue(path: str) -> bool:
 
 def is_delivery(path: str) -> bool:
     """Whether a path in IMAGES stands for all images of a folder, an archive or a STAC item."""
-    return is_archive(path) or is_catalogue(path) or os.path.isdir(path)
+    return is_archive(path) or is_packed_whole(path) or is_catalogue(path) or os.path.isdir(path)

@@ -98,10 +98,10 @@ class _Products:
         return cls(crop, dsm, confidence, water, whole)
 
     def write_block(self, surface: SurfaceCells, own: Window, level: Optional[FloatImage]) -> None:
-        """Write the facts of a block's own cells; ``level`` is that of water, NaN on land."""
+        """Write the facts of a block's own cells; ``level`` is that of water, NaN on land, infinite if unknown."""
         if self.water is not None and level is not None:
             land = np.where(np.isfinite(surface.height), 0, _NO_MASK)
-            self.water.write(np.where(np.isfinite(level), 1, land).astype(np.uint8), own.col, own.row)
+            self.water.write(np.where(np.isnan(level), land, 1).astype(np.uint8), own.col, own.row)
         if self.confidence is not None:
             for band, values in enumerate(surface.facts(), start=1):
                 self.confidence.write(values, own.col, own.row, band)

@@ -4,12 +4,13 @@ Over water a matcher finds nothing that holds (matching/reliability.py), so wate
 changed ground. Where multispectral images show a cell, their index of water says which of these it is
 (fusion/water_index.py), and also where something was matched on water. Elsewhere, water is darker than nearly all of
 the land, and no rougher than the images' noise. Shadows of houses are both, too, but narrow or small. The shore says
-how high the water is. Where that falls along the water by more than it scatters, it is a river, which nowhere rises
-along its flow.
+how high the water is, if enough of it is known: a cloud may hide its lowest part. Where that falls along the water by
+more than it scatters, it is a river, which nowhere rises along its flow.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Callable, Iterator, List, Optional, Sequence, Tuple
 
@@ -25,18 +26,24 @@ from .brightness import Witnesses, lights
 from .parameters import FUSION, FusionParameters, WaterParameters
 from .provenance import SurfaceCells
 from .surface import Block
-from .water_index import WaterIndex, index_of, parts, wet_above
+from .water_index import Colours, WaterIndex, colours_of, parts, wet_above
 
 DARK = "empty, dark and smooth"
 
 
 @dataclass(frozen=True)
 class WaterBody:
-    """One lake or river: its area (m2), and its lowest and highest level (m above the ellipsoid)."""
+    """One lake or river: its area (m2), and its lowest and highest level (m above the ellipsoid); NaN where too little
+    of its shore is known."""
 
     area: float
     lowest: float
     highest: float
+
+    @property
+    def known(self) -> bool:
+        """Whether it has a level."""
+        return math.isfinite(self.lowest)
 
     @property
     def falls(self) -> bool:
@@ -46,16 +53,19 @@ class WaterBody:
 
 @dataclass(frozen=True)
 class Water:
-    """The water of a grid. ``level`` (rows, columns) is its height, m above the ellipsoid, NaN on land, on cells that
-    are ``step`` x ``step`` cells of the grid. ``evidence`` is what told it from land, for the products' metadata."""
+    """The water of a grid. ``level`` (rows, columns) is its height, m above the ellipsoid, NaN on land, and infinite
+    where it is not known, on cells that are ``step`` x ``step`` cells of the grid. ``evidence`` is what told it from
+    land, for the products' metadata.
+    ``patches`` are how many dark bodies were left out, because other land has their colours."""
 
     step: int
     level: FloatImage
     bodies: Tuple[WaterBody, ...]
     evidence: str = DARK
+    patches: int = 0
 
     def within(self, window: Window) -> FloatImage:
-        """(H, W) levels of the water on the cells of a window, NaN on land."""
+        """(H, W) levels of the water on the cells of a window, NaN on land, infinite where a level is not known."""
         rows, columns = (
             np.arange(start, start + count) // self.step
             for start, count in ((window.row, window.height), (window.col, window.width))
@@ -98,22 +108,31 @@ def find_water(
         if shore.heights.size >= p.least_shore:
             assumed[shore.part][shore.inside] = np.percentile(shore.heights, p.shore_percentile)
         check()
-    looks, dry, evidence = _looks_of_water(witnesses, spectra, cells, assumed, land, empty, check, parameters)
+    looks, dry, evidence, colours = _looks_of_water(witnesses, spectra, cells, assumed, land, empty, check, parameters)
     side = 2 * max(int(round(p.narrowest_m / cells.cell / 4)), 1) + 1
     alike = cv2.boxFilter(looks.astype(np.float32), -1, (side, side), borderType=cv2.BORDER_CONSTANT)
     water = _broad((empty | looks) & (alike > p.share), p.narrowest_m / cells.cell, p.least_m2 / cells.cell**2)
     # The windows of both questions reach over the bank: what is empty so far beside water belongs to it.
     rim = cv2.dilate(water.astype(np.uint8), _disc(side // 2 + p.window_cells // 2 + 1)) > 0
     water = large_components(water | (rim & empty & ~dry), p.least_m2 / cells.cell**2)
+    patches = 0
+    if colours is not None:
+        shaded = colours.shaded(water, land, cells.cell, p)
+        patches = cv2.connectedComponents(shaded.astype(np.uint8), connectivity=4)[0] - 1
+        water &= ~shaded
     level, bodies = nothing.level.copy(), []
     for shore in _shores(water, height, cells.cell, p):
         check()
         if shore.heights.size >= p.least_shore and shore.empty >= p.least_empty:
             whole = _without_islands(shore.inside, p.island_m2 / cells.cell**2)
             own = water_levels(whole, shore.rows, shore.columns, shore.heights, cells.cell, p)
+            lowest, highest = float(np.nanmin(own)), float(np.nanmax(own))
+            if lowest == highest and not shore.tells(lowest, cells.cell, p):
+                lowest = highest = math.nan
+                own = np.where(whole, np.float32(np.inf), own)
             level[shore.part] = np.where(whole, own, level[shore.part])
-            bodies.append(WaterBody(float(whole.sum() * cells.cell**2), float(np.nanmin(own)), float(np.nanmax(own))))
-    return Water(step, level, tuple(bodies), evidence)
+            bodies.append(WaterBody(float(whole.sum() * cells.cell**2), lowest, highest))
+    return Water(step, level, tuple(bodies), evidence, patches)
 
 
 def matched_heights(surface: SurfaceCells) -> FloatImage:
@@ -122,7 +141,8 @@ def matched_heights(surface: SurfaceCells) -> FloatImage:
 
 
 def flattened(surface: SurfaceCells, level: FloatImage) -> SurfaceCells:
-    """The surface with the water at its level (H, W), NaN on land: such heights have no witness and no known error."""
+    """The surface with the water at its level (H, W), NaN on land: such heights have no witness and no known error.
+    Where the level is not known, and infinite, the surface stays as it is."""
     water = np.isfinite(level)
     unknown = {name: np.where(water, np.float32(np.nan), getattr(surface, name)) for name in _UNKNOWN}
     source = np.where(water, np.float32(Provenance.WATER), surface.source)
@@ -179,27 +199,29 @@ def _looks_of_water(
     empty: Mask,
     check: Callable[[], None],
     parameters: FusionParameters,
-) -> Tuple[Mask, Mask, str]:
+) -> Tuple[Mask, Mask, str, Optional[Colours]]:
     """Which cells look like water, which certainly not, and what says so: the index of water wherever an image shows
-    it, of matched cells as well, and darkness of ``empty`` ones elsewhere."""
+    it, of matched cells as well, and darkness of ``empty`` ones elsewhere. And the colours that images show."""
     looks, evidence, known = np.zeros(grid.shape, bool), "", np.zeros(grid.shape, bool)
+    colours = None
     if spectra is not None:
-        index, infrared = index_of(spectra, grid, height, check, parameters)
-        known = np.isfinite(index)
-        looks, threshold = wet_above(index, infrared, land, empty, grid.cell, spectra.calibrated, parameters.water)
+        colours = colours_of(spectra, grid, height, check, parameters)
+        known, colour = np.isfinite(colours.index), (colours.index, colours.infrared)
+        looks, threshold = wet_above(*colour, land, empty, grid.cell, spectra.calibrated, parameters.water)
         if known[empty].any():
             evidence = "no NDWI of water" if threshold is None else f"NDWI above {threshold:.2f}"
     # A pixel on the bank is what more than half of it shows.
     dry = known & ~looks
     if looks.any() and (known & land & ~looks).any():
         with np.errstate(invalid="ignore"):
+            index = colours.index
             dry &= index < (np.median(index[looks]) + np.median(index[known & land & ~looks])) / 2
     if known[empty].all():
-        return looks, dry, evidence
+        return looks, dry, evidence, colours
     dark = empty & ~known & _dark_and_flat(witnesses, grid, height, land, check, parameters)
     if evidence and dark.any():
         evidence = f"{evidence}; elsewhere {DARK}"
-    return looks | dark, dry, evidence or DARK
+    return looks | dark, dry, evidence or DARK, colours
 
 
 def _dark_and_flat(
@@ -252,12 +274,13 @@ def _roughness(light: FloatImage, side: int) -> FloatImage:
 
 @dataclass(frozen=True)
 class _Shore:
-    """A body's ``part`` of the grid with a margin, its cells in it, the share of them without a matched height, and the
-    matched heights of its shore (m) with their places in the part."""
+    """A body's ``part`` of the grid with a margin, its cells in it, the share of them without a matched height, the
+    rows and columns in the part of the ``whole`` shore, and its matched heights (m) with theirs."""
 
     part: Tuple[slice, slice]
     inside: Mask
     empty: float
+    whole: Tuple[IntArray, IntArray]
     rows: IntArray
     columns: IntArray
     heights: FloatArray
@@ -276,9 +299,30 @@ class _Shore:
         inside = numbers[part] == number  # in its part alone: there may be many components
         around = cv2.dilate(inside.astype(np.uint8), _disc(reach)) > 0
         known = np.isfinite(height[part])
-        rows, columns = np.nonzero(around & known & ~inside)
-        heights = height[part][rows, columns].astype(np.float64)
-        return cls(part, inside, 1.0 - float(known[inside].mean()), rows, columns, heights)
+        rows, columns = np.nonzero(around & ~inside)
+        there = known[rows, columns]
+        heights = height[part][rows[there], columns[there]].astype(np.float64)
+        empty = 1.0 - float(known[inside].mean())
+        return cls(part, inside, empty, (rows, columns), rows[there], columns[there], heights)
+
+    def tells(self, level: float, cell: float, p: WaterParameters) -> bool:
+        """Whether the shore says that a lake has this level (m): most of it is known, or much of it is as low.
+
+        The shore is as low as the water where the ground comes down to it, and higher at walls and cliffs. What a cloud
+        hides may be the lowest part, unless others are about as low, and all the same.
+        """
+        side = max(int(round(p.bin_m / cell)), 1)
+        width = self.inside.shape[1] // side + 1
+        whole, own = (
+            rows // side * width + columns // side for rows, columns in (self.whole, (self.rows, self.columns))
+        )
+        known = low = 0
+        for number, count in zip(*np.unique(whole, return_counts=True)):
+            heights = self.heights[own == number]
+            if heights.size >= p.known_bin * count:
+                known += count
+                low += count * (np.percentile(heights, p.shore_percentile) < level + p.same_level_m)
+        return bool(known >= p.known_shore * whole.size or low >= p.level_shore * whole.size)
 
 
 def _shores(water: Mask, height: FloatImage, cell: float, p: WaterParameters) -> Iterator[_Shore]:

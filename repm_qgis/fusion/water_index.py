@@ -8,12 +8,18 @@ that of what was not, with all of the water in it, are given the same weight, as
 9). The upper part is cut again and again: plants, bare ground and roofs, and shadows go one after the other. Water is
 above the cut that parts the two histograms best, if there is one where the upper part is what hardly was matched, and
 stands apart from the rest. Without water there is none.
+
+A large dark patch of shade or tarmac without texture stands apart, too. But the light that the air scatters gives all
+dark ground an index towards that of the air, and so other ground that is as dark, and was matched, has the same one.
+Water goes beyond it.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Callable, Iterator, List, Optional, Protocol, Tuple
 
+import cv2
 import numpy as np
 
 from ..contracts.arrays import FloatArray, FloatImage, Floats, Mask, Window
@@ -30,10 +36,50 @@ class WaterIndex(Protocol):
 
     def seen(
         self, grid: CellGrid, height: FloatImage, asked: Window, parameters: FusionParameters
-    ) -> Iterator[Tuple[FloatImage, FloatImage]]:
-        """The index and the near infrared that each view shows of the window ``asked`` of cells with these heights (m
-        above the ellipsoid), NaN where it sees none; what stands on the others may hide them."""
+    ) -> Iterator[Tuple[FloatImage, FloatImage, FloatImage]]:
+        """The index, the near infrared, and the sum of both bands that each view shows of the window ``asked`` of cells
+        with these heights (m above the ellipsoid), NaN where it sees none; what stands on the others may hide them."""
         ...
+
+
+@dataclass(frozen=True)
+class Colours:
+    """The index of water of cells, their near infrared, and the sum of both bands, (H, W) each, medians of the views;
+    NaN where none sees them."""
+
+    index: FloatImage
+    infrared: FloatImage
+    total: FloatImage
+
+    def shaded(self, water: Mask, land: Mask, cell: float, parameters: WaterParameters = FUSION.water) -> Mask:
+        """(H, W) the bodies of a mask of ``water`` whose index is that of other dark ground: what was matched, is as
+        dark, and lies away from all bodies, on cells ``cell`` metres wide.
+
+        Where no other ground is as dark nothing can be said, and a body stays.
+        """
+        p = parameters
+        side = 2 * max(int(round(p.narrowest_m / cell)), 1) + 1
+        near = cv2.dilate(water.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))) > 0
+        known = np.isfinite(self.index)
+        others = known & land & ~near
+        tones, values = self.total[others], self.index[others]
+        order = np.argsort(tones)
+        tones, values = tones[order], values[order]
+        _, numbers, facts, _ = cv2.connectedComponentsWithStats(water.astype(np.uint8), connectivity=4)
+        found = np.zeros(water.shape, bool)
+        for number, (left, top, width, tall, area) in enumerate(facts[1:], start=1):
+            part = slice(top, top + tall), slice(left, left + width)
+            inside = numbers[part] == number
+            own = inside & known[part]
+            if 2 * own.sum() < area:
+                continue
+            tone, index = float(np.median(self.total[part][own])), float(np.median(self.index[part][own]))
+            first, last = np.searchsorted(tones, [tone * (1 - p.as_dark), tone * (1 + p.as_dark)])
+            if last - first < p.least_m2 / cell**2 * p.least_alike:
+                continue
+            if index < np.percentile(values[first:last], p.beyond_percentile) + p.beyond:
+                found[part] |= inside
+        return found
 
 
 def parts(grid: CellGrid, around: int, parameters: FusionParameters) -> Iterator[Tuple[Window, Window, Window]]:
@@ -44,24 +90,24 @@ def parts(grid: CellGrid, around: int, parameters: FusionParameters) -> Iterator
         yield own, near, near.grown(parameters.brightness.hidden_cells, grid.size)
 
 
-def index_of(
+def colours_of(
     spectra: WaterIndex,
     grid: CellGrid,
     height: FloatImage,
     check: Callable[[], None],
     parameters: FusionParameters = FUSION,
-) -> Tuple[FloatImage, FloatImage]:
-    """(H, W) the index of water and the near infrared of cells, medians of the views; NaN where none sees them.
+) -> Colours:
+    """What the views show of cells with these heights (m above the ellipsoid).
 
     Raises ImageError where an image cannot be read.
     """
-    index, infrared = np.full((2, *grid.shape), np.nan, np.float32)
+    found = np.full((3, *grid.shape), np.nan, np.float32)
     for own, _, wide in parts(grid, 0, parameters):
         check()
         seen = list(spectra.seen(grid.part(wide), height[wide.slices], own.within(wide), parameters))
         if seen:
-            index[own.slices], infrared[own.slices] = (median_of_known(np.stack(each)) for each in zip(*seen))
-    return index, infrared
+            found[(slice(None), *own.slices)] = np.stack([median_of_known(np.stack(each)) for each in zip(*seen)])
+    return Colours(*found)
 
 
 def wet_above(

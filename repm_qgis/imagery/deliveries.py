@@ -19,7 +19,7 @@ from typing import Dict, Iterator, List, Mapping, Optional, Sequence, Tuple, Typ
 from osgeo import gdal
 
 from ..contracts.errors import ImageError, OptionError, RepmError, RpcError
-from ..contracts.file_kinds import IMAGE_ENDS, is_archive, is_catalogue, is_delivery
+from ..contracts.file_kinds import IMAGE_ENDS, is_archive, is_catalogue, is_delivery, is_packed_whole
 from ..contracts.options import EpmFitOptions, InspectOptions
 from ..rpc.formats import ARCHIVED, sidecar_text, xml_attributes
 from ..rpc.readers import beside, files_in_folder, product_of, rpc_of
@@ -51,7 +51,7 @@ def delivered(named: Sequence[str]) -> Delivery:
     """The images that paths stand for, each once, in the paths' order: a tile for its whole, a folder, an archive or a
     STAC item for all its images.
 
-    Raises ImageError for one of these without any image that has an RPC.
+    Raises ImageError for one of these without any image that has an RPC, and for an archive to be unpacked first.
     """
     images: List[str] = []
     xs: List[str] = []
@@ -177,11 +177,18 @@ def _looks_like_one(file: str) -> bool:
 
 
 def _files(path: str) -> List[str]:
-    """The files in a folder or an archive, sorted; links to folders are not followed."""
+    """The files in a folder or an archive, sorted; links to folders are not followed, nor names that lead out."""
+    if is_packed_whole(path):
+        raise ImageError(
+            f"'{path}' is compressed as a whole, so that no part of an image in it can be read alone: unpack it, and "
+            "choose its folder."
+        )
     if is_archive(path):
-        root = f"/vsizip/{os.path.abspath(path).replace(os.sep, '/')}"
+        system = "tar" if path.lower().endswith(".tar") else "zip"
+        root = f"/vsi{system}/{os.path.abspath(path).replace(os.sep, '/')}"
         found: Optional[List[str]] = gdal.ReadDirRecursive(root)
-        return sorted(f"{root}/{name}" for name in (found or [])[:_MOST_ENTRIES] if not name.endswith("/"))
+        names = (name for name in (found or [])[:_MOST_ENTRIES] if not name.endswith("/"))
+        return sorted(f"{root}/{name}" for name in names if ".." not in name.split("/"))
     files: List[str] = []
     start = path.rstrip("/\\").count(os.sep)
     for folder, folders, names in os.walk(path):

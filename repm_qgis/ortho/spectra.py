@@ -62,9 +62,10 @@ class Spectra:
         height: FloatImage,
         asked: Window,
         parameters: FusionParameters = FUSION,
-    ) -> Iterator[Tuple[FloatImage, FloatImage]]:
-        """The index and the near infrared that each of the first views shows of the window ``asked`` of cells with
-        these heights (m above the ellipsoid), NaN where it sees none. Raises ImageError where an image cannot be read.
+    ) -> Iterator[Tuple[FloatImage, FloatImage, FloatImage]]:
+        """The index, the near infrared, and the sum of both bands that each of the first views shows of the window
+        ``asked`` of cells with these heights (m above the ellipsoid), NaN where it sees none. Raises ImageError where
+        an image cannot be read.
         """
         p, count, own = parameters.brightness, 0, height[asked.slices]
         for source, slope in zip(self.sources, self.slopes):
@@ -78,4 +79,5 @@ class Spectra:
             count += 1
             total = green + infrared
             with np.errstate(divide="ignore", invalid="ignore"):
-                yield np.where(total > 0, (green - infrared) / total, np.float32(np.nan)), infrared
+                index = np.where(total > 0, (green - infrared) / total, np.float32(np.nan))
+            yield index, infrared, total

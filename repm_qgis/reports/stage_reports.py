@@ -161,7 +161,9 @@ def _surface(report: Report, path: str, datum: str, facts: FusionFacts) -> None:
     heights = f"{np.nanmin(values):.1f} to {np.nanmax(values):.1f} m above the {datum}"
     figures = [("Cell size", f"{facts.resolution:g} m"), ("Cells with a height", known)]
     removed = [("Needles that were removed", f"{facts.needles} cells")] if facts.needles else []
-    report.facts([*figures, *removed, ("Heights", heights), ("CRS", facts.crs)])
+    found = f"{facts.water_m2:.0f} m2 ({facts.water_evidence})"
+    water = [("Water", found)] if facts.water else []
+    report.facts([*figures, *removed, ("Heights", heights), *water, ("CRS", facts.crs)])
     if facts.dem_offset is not None and not facts.dem_offset.unexpected:  # which stands at the top
         report.paragraph(facts.dem_offset.sentence())
 

@@ -21,7 +21,7 @@ from ..fusion.rasters import write_products
 from ..fusion.surface import Block, LightTask, SurfaceTask, blocks_of, halo, light_block, make_block
 from ..fusion.tile_fusion import FuseTask, StoredTile, fuse_to_disk
 from ..fusion.walls import has_walls
-from ..fusion.water import Water, find_water
+from ..fusion.water import DARK, Water, find_water
 from ..fusion.water_index import WaterIndex
 from ..registration.dem_offset import dem_offset, stated_height_deviation
 from ..registration.laying import prior_of
@@ -175,7 +175,25 @@ def _water(task: Tuple[Fusion, JoinedTiles, List[Block]], progress: Progress) ->
     lakes, area = len(water.bodies) - len(rivers), sum(body.area for body in water.bodies)
     found = f"{counted(lakes, 'lake')}, {counted(len(rivers), 'river')}"
     progress.info(f"Water was found on {area:.0f} m2: {found} ({water.evidence}).")
+    _say_doubts(water, progress)
     return water
+
+
+def _say_doubts(water: Water, progress: Progress) -> None:
+    if water.patches:
+        areas = counted(water.patches, "dark area")
+        progress.info(f"Left out of the water: {areas}, because other ground that is as dark has the same NDWI.")
+    if water.bodies and water.evidence.endswith(DARK):
+        progress.warn(
+            "Dark, smooth ground, such as tarmac or deep shade, looks like water where no multispectral image shows "
+            "it: check on the images what was found (WATER_MASK), or give XS."
+        )
+    unknown = [body for body in water.bodies if not body.known]
+    if unknown:
+        progress.warn(
+            f"The level of {counted(len(unknown), 'lake')} is not known, because too little of the shore has heights: "
+            "WATER_MASK shows the water, but it is not flattened."
+        )
 
 
 def _written(task: Tuple[Fusion, JoinedTiles, List[Block], Optional[Water]], progress: Progress) -> FusionFacts:

@@ -121,6 +121,39 @@ def test_neither_blocks_nor_larger_cells_lose_the_lake(tmp_path, ground, shown):
     assert np.isfinite(coarse.within(Window(0, 0, *GRID.size))[LAKE]).mean() > 0.95
 
 
+def hill():
+    """A slope of 10 % to the south, into which the lake was dug: its lowest shore is its southern one, at 109 m."""
+    y = np.mgrid[: SHAPE[0], : SHAPE[1]][0]
+    height = 121 - 0.1 * y + 0.2 * np.random.default_rng(1).random(SHAPE)
+    height[LAKE] = np.nan
+    return height
+
+
+def test_a_lake_whose_low_shore_is_under_a_cloud_has_no_level(tmp_path, shown):
+    clear, cloudy = hill(), hill()
+    cloudy[105:170, 20:160] = np.nan
+    shown((LAKE, 0.05, 0.01))
+    (seen,) = found(stored(tmp_path, clear)).bodies
+    assert seen.known and seen.lowest == pytest.approx(109.2, abs=0.6)
+    shown((LAKE, 0.05, 0.01), (np.s_[105:170, 20:160], 0.9, 0.01))
+    half = found(stored(tmp_path, cloudy))
+    (hidden,) = half.bodies
+    assert not hidden.known and not hidden.falls and hidden.area > 5000
+    level = half.within(Window(0, 0, *GRID.size))
+    assert np.isposinf(level[45:100, 45:125]).all(), "it is water all the same"
+    given = surface(cloudy)
+    np.testing.assert_array_equal(flattened(given, level).height, given.height)
+
+
+def test_a_cloud_on_a_shore_that_is_level_elsewhere_changes_nothing(tmp_path, ground, shown):
+    shown((LAKE, 0.05, 0.01))
+    (clear,) = found(stored(tmp_path, ground)).bodies
+    ground[90:170, 20:100] = np.nan
+    shown((LAKE, 0.05, 0.01), (np.s_[90:170, 20:100], 0.9, 0.01))
+    (cloudy,) = found(stored(tmp_path, ground)).bodies
+    assert cloudy.known and cloudy.lowest == pytest.approx(clear.lowest, abs=0.5)
+
+
 def test_a_rivers_level_falls_all_along_it():
     """A winding river of 600 m that falls by 4 m, with houses on half of its banks and wrong heights."""
     rng = np.random.default_rng(3)

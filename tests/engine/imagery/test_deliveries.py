@@ -1,6 +1,8 @@
 """Products in tiles, and folders and archives as they were delivered."""
 
+import io
 import os
+import tarfile
 import zipfile
 
 import numpy as np
@@ -212,6 +214,51 @@ def test_an_archive_is_read_without_unpacking(urban, tmp_path):
         assert again.size == view.size and again.acquired
         ground = view.localise(np.array([[10.0, 20.0], [300.0, 350.0]]), 200.0)
         assert np.abs(again.project(ground) - view.project(ground)).max() < 1e-6
+
+
+def test_a_tar_file_is_read_without_unpacking(urban, tmp_path):
+    maxar(urban.views[0], tmp_path / "in" / "a")
+    single(urban.views[1], tmp_path / "in" / "b" / "13FEB12053305-P1BS-0528_01_P001.TIF")
+    archive = tmp_path / "order.tar"
+    with tarfile.open(archive, "w") as packed:
+        packed.add(tmp_path / "in", "order")
+    before = sorted(tmp_path.iterdir())
+    found = delivered([str(archive)]).images
+    root = f"/vsitar/{archive.as_posix()}/order"
+    assert found == (f"{root}/a/{INDEX}", f"{root}/b/13FEB12053305-P1BS-0528_01_P001.TIF")
+    for view, path in zip(urban.views, found):
+        again = load_view(path)
+        assert again.size == view.size and again.acquired
+        np.testing.assert_array_equal(pixels_of(path), pixels_of(view.image))
+        ground = view.localise(np.array([[10.0, 20.0], [300.0, 350.0]]), 200.0)
+        assert np.abs(again.project(ground) - view.project(ground)).max() < 1e-6
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_names_in_an_archive_that_lead_out_and_links_are_not_followed(urban, tmp_path):
+    outside = single(urban.views[0], tmp_path / "outside" / "a.tif")
+    for name, link in (("../outside/a.tif", None), ("b.tif", outside)):
+        with tarfile.open(tmp_path / "order.tar", "w") as packed:
+            member = tarfile.TarInfo(name)
+            if link is None:
+                member.size = os.path.getsize(outside)
+                with open(outside, "rb") as stream:
+                    packed.addfile(member, stream)
+            else:
+                member.type, member.linkname = tarfile.SYMTYPE, link
+                packed.addfile(member)
+            packed.addfile(tarfile.TarInfo("readme.txt"), io.BytesIO())
+        gdal.VSICurlClearCache()
+        with pytest.raises(ImageError, match="order.tar' holds no image with an RPC"):
+            delivered([str(tmp_path / "order.tar")])
+
+
+@pytest.mark.parametrize("name", ["order.tar.gz", "ORDER.TGZ", "order.7z"])
+def test_an_archive_that_is_compressed_as_a_whole_is_refused_with_the_remedy(tmp_path, name, told):
+    (tmp_path / name).write_bytes(b"anything")
+    with pytest.raises(ImageError, match=f"{name}' is compressed as a whole, .*: unpack it, and choose its folder.$"):
+        run_stage("epmfit", {"images": [str(tmp_path / name)], "workspace": str(tmp_path / "ws")}, told())
+    assert [path.name for path in tmp_path.iterdir()] == [name], "nothing was unpacked"
 
 
 def test_tiles_in_an_archive_are_one_image(urban, tmp_path):
