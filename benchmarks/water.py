@@ -61,12 +61,21 @@ def _wet(kind: str, seed: int, what: str) -> List[List[Any]]:
     for name, number in WATER.items():
         own = classes == number
         if own.any():
-            levels = np.percentile(error[own & water], (5, 50, 95)) if (own & water).any() else ()
-            shown = ", ".join(f"{value:+.2f}" for value in levels) or "-"
+            shown = _level(error[own & water])
             kind_of = "river, still" if river else f"lake, {name}"
             rows.append([f"{kind}, seed {seed}{', XS' * xs}", kind_of, 100 * float(water[own].mean()), shown, ""])
     rows[-1][-1] = f"{100 * float(water[land].mean()):.3f}"
     return rows
+
+
+def _level(error: np.ndarray) -> str:
+    """Quantiles of a level's errors, m; most cells of a body without a level have no height."""
+    if not error.size:
+        return "-"
+    known = error[np.isfinite(error)]
+    if known.size < error.size / 2:
+        return "left open"
+    return ", ".join(f"{value:+.2f}" for value in np.percentile(known, (5, 50, 95)))
 
 
 def _dry() -> Tuple[List[List[Any]], List[str]]:
@@ -92,9 +101,9 @@ def water() -> List[str]:
         f"Simulated pairs of {_SIZE} px with three or four lakes and two clouds, or with a river that falls by 8 m "
         "(`benchmarks/water_and_clouds.py`), with WATER=flatten. *Found*: the share of the true water. *Level*: found "
         "minus true, as 5, 50 and 95 % quantiles, after the median error of land is taken off; shores are half a metre "
-        "and more above the water. *Land*: the share of land that is taken for water. *XS*: multispectral images of a "
-        "quarter of the resolution lie beside the panchromatic ones. Without them glint and mud are bright, and are "
-        "not looked for.",
+        "and more above the water; it is left open where a cloud hides too much of the shore. *Land*: the share of "
+        "land that is taken for water. *XS*: multispectral images of a quarter of the resolution lie beside the "
+        "panchromatic ones. Without them, glint and murky water are bright, and are not looked for.",
         table("pair | water | found, % | level, m | land, %", wet),
         "Real images without water, in towns with tall shadows, fields and mountains:",
         table("images | heights, ha | taken for water, m2", dry),

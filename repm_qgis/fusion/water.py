@@ -127,7 +127,7 @@ def find_water(
             whole = _without_islands(shore.inside, p.island_m2 / cells.cell**2)
             own = water_levels(whole, shore.rows, shore.columns, shore.heights, cells.cell, p)
             lowest, highest = float(np.nanmin(own)), float(np.nanmax(own))
-            if lowest == highest and not shore.tells(lowest, cells.cell, p):
+            if lowest == highest and not shore.tells(lowest, p):
                 lowest = highest = math.nan
                 own = np.where(whole, np.float32(np.inf), own)
             level[shore.part] = np.where(whole, own, level[shore.part])
@@ -212,9 +212,9 @@ def _looks_of_water(
             evidence = "no NDWI of water" if threshold is None else f"NDWI above {threshold:.2f}"
     # A pixel on the bank is what more than half of it shows.
     dry = known & ~looks
-    if looks.any() and (known & land & ~looks).any():
+    if colours is not None and looks.any() and (known & land & ~looks).any():
+        index = colours.index
         with np.errstate(invalid="ignore"):
-            index = colours.index
             dry &= index < (np.median(index[looks]) + np.median(index[known & land & ~looks])) / 2
     if known[empty].all():
         return looks, dry, evidence, colours
@@ -274,13 +274,13 @@ def _roughness(light: FloatImage, side: int) -> FloatImage:
 
 @dataclass(frozen=True)
 class _Shore:
-    """A body's ``part`` of the grid with a margin, its cells in it, the share of them without a matched height, the
-    rows and columns in the part of the ``whole`` shore, and its matched heights (m) with theirs."""
+    """A body's ``part`` of the grid with a margin, its cells in it, the share of them without a matched height, how
+    many cells its ``whole`` shore has, and the matched heights (m) of these with their places in the part."""
 
     part: Tuple[slice, slice]
     inside: Mask
     empty: float
-    whole: Tuple[IntArray, IntArray]
+    whole: int
     rows: IntArray
     columns: IntArray
     heights: FloatArray
@@ -303,26 +303,16 @@ class _Shore:
         there = known[rows, columns]
         heights = height[part][rows[there], columns[there]].astype(np.float64)
         empty = 1.0 - float(known[inside].mean())
-        return cls(part, inside, empty, (rows, columns), rows[there], columns[there], heights)
+        return cls(part, inside, empty, rows.size, rows[there], columns[there], heights)
 
-    def tells(self, level: float, cell: float, p: WaterParameters) -> bool:
+    def tells(self, level: float, p: WaterParameters) -> bool:
         """Whether the shore says that a lake has this level (m): most of it is known, or much of it is as low.
 
         The shore is as low as the water where the ground comes down to it, and higher at walls and cliffs. What a cloud
         hides may be the lowest part, unless others are about as low, and all the same.
         """
-        side = max(int(round(p.bin_m / cell)), 1)
-        width = self.inside.shape[1] // side + 1
-        whole, own = (
-            rows // side * width + columns // side for rows, columns in (self.whole, (self.rows, self.columns))
-        )
-        known = low = 0
-        for number, count in zip(*np.unique(whole, return_counts=True)):
-            heights = self.heights[own == number]
-            if heights.size >= p.known_bin * count:
-                known += count
-                low += count * (np.percentile(heights, p.shore_percentile) < level + p.same_level_m)
-        return bool(known >= p.known_shore * whole.size or low >= p.level_shore * whole.size)
+        low = int((self.heights < level + p.same_level_m).sum())
+        return self.heights.size >= p.known_shore * self.whole or low >= p.level_shore * self.whole
 
 
 def _shores(water: Mask, height: FloatImage, cell: float, p: WaterParameters) -> Iterator[_Shore]:

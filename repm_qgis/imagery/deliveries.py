@@ -187,8 +187,8 @@ def _files(path: str) -> List[str]:
         system = "tar" if path.lower().endswith(".tar") else "zip"
         root = f"/vsi{system}/{os.path.abspath(path).replace(os.sep, '/')}"
         found: Optional[List[str]] = gdal.ReadDirRecursive(root)
-        names = (name for name in (found or [])[:_MOST_ENTRIES] if not name.endswith("/"))
-        return sorted(f"{root}/{name}" for name in names if ".." not in name.split("/"))
+        inside = (name for name in (found or [])[:_MOST_ENTRIES] if not name.endswith("/"))
+        return sorted(f"{root}/{name}" for name in inside if ".." not in name.split("/"))
     files: List[str] = []
     start = path.rstrip("/\\").count(os.sep)
     for folder, folders, names in os.walk(path):
