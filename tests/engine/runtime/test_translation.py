@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import io
 import json
+import re
 
 import pytest
 
+from repm_qgis.contracts.data_folder import DATA_FOLDER
 from repm_qgis.contracts.errors import OptionError
 from repm_qgis.reports.report import Report
 from repm_qgis.runtime.progress import JsonLines
@@ -56,6 +58,21 @@ def test_texts_are_translated_by_what_fits_most_literally(german, english, expec
 def test_what_fits_nothing_is_told_apart(german):
     assert not german.search("what nobody wrote").whole and not german.search("what nobody wrote in Done").whole
     assert german.search("Done").whole and german.search("17 in /home/x.tif").whole
+
+
+@pytest.mark.parametrize("value", ("1{0}.5", "/data/town_{0}/image-{0}.tif", "IMG_{0}", "Zürich-{0}"))
+def test_every_sentence_of_the_catalogue_is_known_again_with_what_is_filled_in(value):
+    """No sentence is taken for another one, though they are told apart by their words alone."""
+    catalogue = json.loads((DATA_FOLDER / "i18n" / "engine_de.json").read_text(encoding="utf-8"))
+    translator = Translator.of("de")
+    with_fields = {source: target for source, target in catalogue.items() if "{0}" in source}
+    assert len(with_fields) > 800
+
+    def filled(template):
+        return re.sub(r"\{(\d+)\}", lambda field: value.format(field[1]), template)
+
+    wrong = {source for source, target in with_fields.items() if translator.translate(filled(source)) != filled(target)}
+    assert wrong == set()
 
 
 def test_long_hostile_text_takes_no_time(german):
