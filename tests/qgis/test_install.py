@@ -133,6 +133,6 @@ def test_from_the_zip_to_a_dsm_in_seven_clicks(desktop_start, tmp_path):
         [sys.executable, str(ROOT / "scripts" / "package"), str(tmp_path)], check=True, stdout=subprocess.PIPE
     )
     plan = {"zip": str(next(tmp_path.glob("*.zip")))}
-    found = desktop_start("drive_first_hour.py", plan, seconds=200, settings="", engine=None)
+    found = desktop_start("drive_first_hour.py", plan, seconds=600, settings="", engine=None)
     assert found["success"] and len(found["clicks"]) <= 7, found["clicks"]
     assert any(name.startswith("DSM sample town") for name in found["layers"])
