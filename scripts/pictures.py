@@ -42,6 +42,7 @@ SHOWN = {
 RECORDED = ("1_panel", "3_running", "5_dsm", "6_map")
 WINDOW, SMALL = (1280, 860), (960, 645)
 MAX_BYTES = 390_000
+SHARES = 1.0, 0.85, 0.7, 0.55
 sys.path.insert(0, ROOT)
 
 
@@ -49,24 +50,33 @@ def say(text: str) -> None:
     sys.stdout.write(text + "\n")
 
 
-def keep(path: str, name: str, most: int = MAX_BYTES) -> None:
-    """Put a picture into docs/pictures, with 256 colours where it would have too many bytes otherwise."""
+def keep(path: str, name: str) -> None:
+    """Put a picture into docs/pictures: with 256 colours, and smaller, where it would have too many bytes otherwise."""
     target = os.path.join(FOLDER, name)
-    if os.path.getsize(path) > most:
-        source = gdal.Open(path)
-        bands = [source.GetRasterBand(i) for i in (1, 2, 3)]
-        colours = gdal.ColorTable()
-        gdal.ComputeMedianCutPCT(*bands, 256, colours)
-        few = gdal.GetDriverByName("MEM").Create("", source.RasterXSize, source.RasterYSize, 1)
-        gdal.DitherRGB2PCT(*bands, few.GetRasterBand(1), colours)
-        few.GetRasterBand(1).SetColorTable(colours)
-        gdal.GetDriverByName("PNG").CreateCopy(target, few, options=["ZLEVEL=9"])
-        bands = few = source = None
-        if os.path.exists(target + ".aux.xml"):
-            os.unlink(target + ".aux.xml")
-    else:
-        shutil.copyfile(path, target)
+    shutil.copyfile(path, target)
+    for share in SHARES:
+        if os.path.getsize(target) <= MAX_BYTES:
+            break
+        few_colours(path, target, share)
     say(f"  {name:<18}{os.path.getsize(target) / 1000:6.0f} kB")
+
+
+def few_colours(path: str, target: str, share: float) -> None:
+    """Write a picture with 256 colours, at a share of its width and height."""
+    whole = gdal.Open(path)
+    size = [round(share * length) for length in (whole.RasterXSize, whole.RasterYSize)]
+    source = gdal.Translate(
+        "", whole, format="MEM", bandList=[1, 2, 3], width=size[0], height=size[1], resampleAlg="average"
+    )
+    bands = [source.GetRasterBand(i) for i in (1, 2, 3)]
+    colours = gdal.ColorTable()
+    gdal.ComputeMedianCutPCT(*bands, 256, colours)
+    few = gdal.GetDriverByName("MEM").Create("", *size, 1)
+    gdal.DitherRGB2PCT(*bands, few.GetRasterBand(1), colours)
+    few.GetRasterBand(1).SetColorTable(colours)
+    gdal.GetDriverByName("PNG").CreateCopy(target, few, options=["ZLEVEL=9"])
+    if os.path.exists(target + ".aux.xml"):
+        os.unlink(target + ".aux.xml")
 
 
 def shaded(dsm: str, name: str, size: int, folder: str) -> None:
@@ -242,7 +252,7 @@ def first_hour(recording: str, name: str) -> None:
             small = os.path.join(folder, f"{number}.png")
             cut = {"srcWin": [0, 0, *WINDOW], "width": SMALL[0], "height": SMALL[1], "resampleAlg": "cubic"}
             gdal.Translate(small, os.path.join(recording, f"first_hour_{step}.png"), bandList=[1, 2, 3], **cut)
-            keep(small, f"{name}_{number}.png", 0)
+            few_colours(small, os.path.join(FOLDER, f"{name}_{number}.png"), 1.0)
 
 
 def main() -> int:
