@@ -50,12 +50,12 @@ def say(text: str) -> None:
     sys.stdout.write(text + "\n")
 
 
-def keep(path: str, name: str) -> None:
+def keep(path: str, name: str, most: int = MAX_BYTES) -> None:
     """Put a picture into docs/pictures: with 256 colours, and smaller, where it would have too many bytes otherwise."""
     target = os.path.join(FOLDER, name)
     shutil.copyfile(path, target)
     for share in SHARES:
-        if os.path.getsize(target) <= MAX_BYTES:
+        if os.path.getsize(target) <= most:
             break
         few_colours(path, target, share)
     say(f"  {name:<18}{os.path.getsize(target) / 1000:6.0f} kB")
