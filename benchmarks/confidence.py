@@ -22,7 +22,7 @@ FIFTHS = 5
 _UNMATCHED = {
     Provenance.BACKGROUND: "background of an occlusion",
     Provenance.SHADOW: "ground in a shadow",
-    Provenance.NEIGHBOURS: "from the cells beside it",
+    Provenance.NEIGHBOURS: "from neighbouring cells",
 }
 
 

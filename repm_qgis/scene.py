@@ -20,7 +20,7 @@ import numpy as np
 
 from . import __version__
 from .contracts.arrays import FloatArray, Size, Window
-from .contracts.checks import Choice, Misfit, Number, file_name, mapping, shown, typed, within
+from .contracts.checks import Choice, Misfit, Number, file_name, mapping, member, shown, typed
 from .contracts.errors import ImageError, OptionError, RpcInvalidError, SceneError, SceneVersionError
 from .contracts.options import BACKENDS, MODELS, PRESETS
 from .contracts.records import (
@@ -210,7 +210,7 @@ class TileView(Record):
         """From JSON; ``terrain`` gives what a terrain-aware refinement needs."""
         refined = values.get("refined")
         if isinstance(refined, Mapping):
-            with within("refined"):
+            with member("refined"):
                 refined = RefinedPinhole.read(refined, terrain)
         return cls.from_mapping({**values, "refined": refined})
 
@@ -230,7 +230,7 @@ class Tile(Record):
         """From JSON; ``terrain`` gives what a view's terrain-aware refinement needs."""
         views = {}
         for name, view in mapping(mapping(values).get("views")).items():
-            with within("views"), within(name):
+            with member("views"), member(name):
                 views[name] = TileView.read(mapping(view), partial(terrain, name))
         return cls.from_mapping({**values, "views": views})
 
@@ -459,10 +459,10 @@ class Scene(Record):
             find = partial(_found, os.path.dirname(os.path.abspath(path)), before)
             scene = with_files(cls.from_mapping({**document, "tiles": [], "path": Path(path)}), find)
             tiles = []
-            with within("tiles"):
+            with member("tiles"):
                 for number, values in enumerate(typed(Tuple[Any, ...], document.get("tiles"))):
                     # Stored refinements belong to the vendors' RPCs; pointing came later.
-                    with within(number):
+                    with member(number):
                         tile = Tile.read(values, lambda name: scene.terrain(scene.view(name).model))
                     tiles.append(with_files(tile, find))
             return cls.from_mapping({**vars(scene), "tiles": tiles})

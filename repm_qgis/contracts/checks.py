@@ -44,7 +44,7 @@ class Misfit(ValueError):
     def __init__(self, must: str, found: str = "", place: Tuple[str, ...] = ()) -> None:
         self.must, self.found, self.place = must, found, place
 
-    def within(self, name: object) -> Misfit:
+    def in_member(self, name: object) -> Misfit:
         """The same, seen from the list or object that has the value under a name."""
         return Misfit(self.must, self.found, (shown(name).strip("'"), *self.place))
 
@@ -53,12 +53,12 @@ class Misfit(ValueError):
 
 
 @contextmanager
-def within(name: object) -> Iterator[None]:
+def member(name: object) -> Iterator[None]:
     """Misfits of the block get the name of the list or object that they lie in."""
     try:
         yield
     except Misfit as misfit:
-        raise misfit.within(name) from None
+        raise misfit.in_member(name) from None
 
 
 def mapping(value: Any) -> Mapping[str, Any]:
@@ -280,7 +280,7 @@ def _refuse_if(reason: str, value: Any, result: Any = None) -> Any:
 
 
 def _entry(kind: Any, value: Any, name: object) -> Any:
-    with within(name):
+    with member(name):
         return typed(kind, value)
 
 

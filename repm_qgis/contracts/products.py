@@ -51,7 +51,7 @@ _SOURCE_CLASSES = (
     "Interpolated",
     "Interpolated on the DEM",
     "Ground in a shadow",
-    "From the cells beside it",
+    "From neighbouring cells",
     "Edited by hand",
     "Level of the water",
 )

@@ -33,9 +33,9 @@ from .checks import (
     Range,
     Rectangle,
     mapping,
+    member,
     typed,
     types_of,
-    within,
 )
 
 R = TypeVar("R", bound="Record")
@@ -74,7 +74,7 @@ class Record:
         """Raises Misfit where an entry is missing, does not fit its field's type, or contradicts another one."""
         types, entries = types_of(cls), {}
         for field in dataclasses.fields(cls):  # type: ignore[arg-type]  # every subclass is a dataclass
-            with within(field.name):
+            with member(field.name):
                 if field.name in mapping(values):
                     entries[field.name] = typed(types[field.name], values[field.name])
                 elif field.default is field.default_factory is dataclasses.MISSING:

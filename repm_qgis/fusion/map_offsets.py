@@ -172,7 +172,7 @@ def _compared(task: _TileTask) -> _Compared:
     layers, ground = [], []
     for record in task.records:
         source = height_source(task.scene, task.bounds, record, crs, task.matching)
-        points = source.within(None, parameters.every_px)
+        points = source.read(None, parameters.every_px)
         own = np.where(points.filled, np.nan, points.height)
         apart = parameters.every_px * task.scene.matched_gsd_m(record.pair)
         layers.append(

@@ -117,7 +117,7 @@ def _differences(task: _TileTask) -> Tuple[List[MapDifferences], Along]:
         if geometry is None:
             continue
         source = height_source(task.scene, task.bounds, record, task.scene.crs, task.matching)
-        points = source.within(None, step)
+        points = source.read(None, step)
         columns, rows = (np.arange(0, n, step, dtype=np.float64) for n in record.size)
         known = np.isfinite(points.height) & ~points.filled
         if not known.any():

@@ -181,7 +181,7 @@ def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]
         bounds = part.bounds.grown(part.cell)
         layers: List[HeightLayer] = []
         for source, record, spacing in zip(sources, task.records, spacings):
-            heights = source.within(bounds, task.step)
+            heights = source.read(bounds, task.step)
             layers.append(grid_height_map(part, heights, task.step * record.metres_per_px, spacing, parameters))
         fused = aggregate(layers, task.method, rim, parameters.evidence)
         inner, target = own.inside(wide), own.inside(everything)

@@ -67,7 +67,7 @@ def virtual_grid(
     pixels gives the same correspondences without the loss.
     """
     pixels, heights = _pixel_grid(window, altitudes, shape)
-    return _seen(pixels, localise(pixels, heights), frame)
+    return _localised(pixels, localise(pixels, heights), frame)
 
 
 def _pixel_grid(window: Sequence[float], levels: Tuple[float, float], shape: Shape) -> Tuple[FloatArray, FloatArray]:
@@ -78,9 +78,9 @@ def _pixel_grid(window: Sequence[float], levels: Tuple[float, float], shape: Sha
     return np.stack([cols.ravel(), rows.ravel()], axis=1), values.ravel()
 
 
-def _seen(pixels: FloatArray, ground: FloatArray, frame: EnuFrame) -> VirtualGrid:
+def _localised(pixels: FloatArray, ground: FloatArray, frame: EnuFrame) -> VirtualGrid:
     known = np.isfinite(ground).all(axis=1)
-    if known.sum() < 6:  # what a camera needs
+    if known.sum() < 6:  # fewer determine no camera
         raise RpcInvalidError("the RPC does not place the window on the ground: use the image's own RPC.")
     return VirtualGrid(pixels[known], ground[known], frame.from_geodetic(ground[known]))
 
@@ -140,7 +140,8 @@ def surface_grid(terrain: Terrain, window: Sequence[float], parameters: VirtualG
     pixels = np.stack(np.meshgrid(across, down, indexing="ij"), axis=-1)[:, :, None]
     near = np.linspace(-parameters.near_surface_m, parameters.near_surface_m, levels)
     ground = terrain.seen_at(pixels, near)
-    return _seen(np.broadcast_to(pixels, ground.shape[:3] + (2,)).reshape(-1, 2), ground.reshape(-1, 3), terrain.frame)
+    spread = np.broadcast_to(pixels, ground.shape[:3] + (2,)).reshape(-1, 2)
+    return _localised(spread, ground.reshape(-1, 3), terrain.frame)
 
 
 def refine_pinhole(

@@ -172,7 +172,8 @@ def vertical_operations(
     found = _operations(source, target, bounds)
     folder = pyproj.datadir.get_user_data_dir()  # type: ignore[attr-defined,unused-ignore]
     if any(os.path.exists(os.path.join(folder, grid)) for grid in found[1]):
-        # Installed since PROJ was asked first: a context (PROJ 9.5) remembers what it missed. Each thread has its own.
+        # Grids may have been installed since the last request, but a context (PROJ 9.5) remembers which were missing.
+        # Each thread has its own context.
         with ThreadPoolExecutor(1) as thread:
             found = thread.submit(_operations, source, target, bounds).result()
     return found

@@ -1,9 +1,10 @@
-"""Attitude jitter: by how much what a view sees in a line of its image lies aside of where its RPC puts it.
+"""Attitude jitter: how far the content of an image line is displaced from where the view's RPC puts it.
 
 Satellites shake: waves of 0.1 to 1 px and some hundred to some thousand lines, which no RPC can hold. A wave is a
 uniform cubic B-spline of the image's lines (de Boor, A Practical Guide to Splines, 1978), one for columns and one for
-rows. It is a function of the line that a pixel really lies in, because that is the time when the attitude was so: from
-the image to the ground it is taken away directly, and from the ground to the image by iteration.
+rows. It is a function of the line that a pixel really lies in, because each line was recorded at one time, with the
+attitude of that time: from the image to the ground it is subtracted directly, and from the ground to the image by
+iteration.
 """
 
 from __future__ import annotations

@@ -17,8 +17,8 @@ def halved(values: Floats) -> Floats:
 
 
 def doubled(values: Floats, shape: Tuple[int, ...]) -> Floats:
-    """Values on cells of half the side, cut to ``shape``, in the grid's precision; those at the border are only for
-    the cells beside them.
+    """Values on cells of half the side, cut to ``shape``, in the grid's precision; values at the border of ``values``
+    only serve their neighbours and are not in the result.
 
     Bilinear between the cells' centres, which is quadratic B-spline subdivision.
     """

@@ -12,8 +12,8 @@ from ..contracts.arrays import FloatArray
 def principal_axes(
     tree: Any, neighbours: int, at_once: int, dimensions: int = 3
 ) -> Iterator[Tuple[slice, FloatArray, FloatArray, FloatArray]]:
-    """For parts of a tree's points, so many at once: distances of the neighbours (n, k), variances along the principal
-    axes (n, d), the smallest first, and these axes (n, d, d), one in each column.
+    """For a tree's points, ``at_once`` of them at a time: distances of the neighbours (n, k), variances along the
+    principal axes (n, d), the smallest first, and these axes (n, d, d), one in each column.
 
     ``tree`` is scipy's cKDTree of (N, 3) points; a point is its own first neighbour. Of ``dimensions`` only the first
     so many coordinates are looked at, where the neighbours are those in space.

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Callable, Dict, Mapping, Optional, Protocol, 
 import numpy as np
 
 from ..contracts.arrays import FloatArray
-from ..contracts.checks import Array, Misfit, Number, shown, typed, within
+from ..contracts.checks import Array, Misfit, Number, member, shown, typed
 from ..contracts.errors import OptionError
 from ..contracts.records import Record
 from .frames import EnuFrame
@@ -205,7 +205,7 @@ def map_from_mapping(values: Any, camera: PinholeCamera, terrain: Callable[[], O
     """
     kind = values.get("kind") if isinstance(values, Mapping) else None
     if kind == "jittered":
-        with within("to_original"):
+        with member("to_original"):
             steady = map_from_mapping(values.get("steady"), camera, terrain)
             jitter = typed(Jitter, values.get("jitter"))
             if isinstance(steady, JitteredMap):
@@ -221,7 +221,7 @@ def map_from_mapping(values: Any, camera: PinholeCamera, terrain: Callable[[], O
     try:
         return maps[kind].from_mapping(values)
     except Misfit as misfit:
-        raise misfit.within("to_original") from None
+        raise misfit.in_member("to_original") from None
 
 
 def translation(col: float, row: float) -> FloatArray:

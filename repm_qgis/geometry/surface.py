@@ -40,8 +40,8 @@ class Surface:
         above : metres above the surface to meet instead, which broadcasts with ``lines``.
 
         Lines of sight bend so little in longitude, latitude and height that a parabola through three points has them
-        to decimetres over the relief of a mountain range: that is followed to the surface, the line itself is asked
-        there, and the parabola is moved by what it missed. NaN where the line has no point.
+        to decimetres over the relief of a mountain range: the parabola is followed to the surface, the line itself is
+        evaluated there, and the parabola is shifted by the difference. NaN where the line has no point.
         """
         levels = np.linspace(self.heights.min() - _ROOM_M, self.heights.max() + _ROOM_M, 3)
         origin, *others = (line(lines + level) for level in levels)

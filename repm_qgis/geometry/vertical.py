@@ -24,7 +24,7 @@ ELLIPSOID = "WGS 84 ellipsoid"
 TAG = "VERTICAL_DATUM"
 """The metadata item of a raster with the name of its heights' datum."""
 PLACED_TAG = "REPM_PLACED"
-"""The item of a DSM's metadata that says what has given it its absolute position: one of :data:`PLACED`."""
+"""The item of a DSM's metadata that says how its absolute position was determined: one of :data:`PLACED`."""
 
 PLACED = ("registered to a reference", "ground control points")
 

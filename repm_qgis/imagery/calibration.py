@@ -1,9 +1,9 @@
 """What the digital numbers of a multispectral image's bands mean, so that bands can be compared with one another.
 
-Airbus's DIMAP has for each band a gain and a bias (radiance = DN / gain + bias) and the sun's irradiance, or those of
-reflectances (Pleiades Imagery User Guide, 2012). Maxar's IMD and XML have a factor and a bandwidth (radiance = DN
-factor / bandwidth; Kuester 2017, "Radiometric use of WorldView-3 imagery"). Else the scale and the offset that the file
-itself gives its bands, such as those of surface reflectances, count.
+Airbus's DIMAP has for each band a gain and a bias (radiance = DN / gain + bias) and the sun's irradiance, or gain and
+bias of reflectances (Pleiades Imagery User Guide, 2012). Maxar's IMD and XML have a factor and a bandwidth (radiance =
+DN factor / bandwidth; Kuester 2017, "Radiometric use of WorldView-3 imagery"). Otherwise the scale and the offset that
+the file itself gives its bands are used, such as those of surface reflectances.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Calibration:
 
 def calibration(dataset: gdal.Dataset, path: str, bands: Dict[str, int]) -> Optional[Calibration]:
     """The calibration of an opened image's bands, by their names in ``SUN`` and numbers; None where neither the
-    product's files nor the image have it. Files that cannot be read say nothing."""
+    product's files nor the image have it. Files that cannot be read are ignored."""
     names = tuple(bands)
     for file in time_sidecars(path):
         try:

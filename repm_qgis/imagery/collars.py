@@ -1,8 +1,8 @@
 """Black collars and stripes that no nodata value marks: found from an image's ends, and left out by a mask.
 
 Vendors pad images with zeros, and lossy compression makes ones, twos and threes of them. Where neither a nodata value
-nor a mask says so, they are ground as black as night: the altitude sweep finds false matches there, and brightness is
-stretched to them.
+nor a mask marks them, they count as black ground: the altitude sweep finds false matches there, and the stretch of
+intensities is distorted.
 """
 
 from __future__ import annotations

@@ -29,9 +29,9 @@ CONFIDENCE_BANDS = (
     "spread between them (m)",
     "mean matching score",
     "source: 0 matched, 1 background of an occlusion, 2 interpolated, 3 interpolated on the DEM, "
-    "4 ground in a shadow, 5 from the cells beside it, 6 edited by hand, 7 level of the water",
-    "expected error (m): two thirds are within",
-    "LE90 (m): nine of ten are within, but for what all heights have in common",
+    "4 ground in a shadow, 5 taken from neighbouring cells, 6 edited by hand, 7 level of the water",
+    "expected error (m): two of three errors are smaller",
+    "LE90 (m): nine of ten errors are smaller, apart from the error that all heights share",
 )
 SOURCE_BAND, ERROR_BAND = 4, 5
 _SOURCE, _ERROR = CONFIDENCE_BANDS[SOURCE_BAND - 1].split(":")[0], CONFIDENCE_BANDS[ERROR_BAND - 1].split(" (")[0]

@@ -3,9 +3,9 @@
 A product that its vendor cut into tiles is one image with one RPC. Its index names the tiles: Maxar's ``NAME.TIL``,
 Airbus's ``DIM_NAME.XML``; GDAL opens the index as the whole image. Naming any of the tiles means the whole.
 
-A folder, an archive, or a STAC item or catalogue stands for all images in it that have an RPC: the panchromatic ones
-where there are such, and the multispectral ones, whose colours may be wanted, beside them. Quick looks, masks and
-orthoimages have none.
+A folder, an archive, or a STAC item or catalogue stands for all images in it that have an RPC: the panchromatic images
+(or all, where none is panchromatic) are matched, and the multispectral ones are listed because their colours may be
+needed. Quick looks, masks and orthoimages have no RPC.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def with_images(options: T, progress: Progress) -> T:
     progress.info(f"IMAGES stands for {counted(len(names), 'image')}: {listed(names)}.")
     if found.xs:
         colours = listed([f"'{path}'" for path in found.xs])
-        progress.info(f"Multispectral images came with them; give them as XS for their colours: {colours}.")
+        progress.info(f"Multispectral images came with them. To use their colours, give them as XS: {colours}.")
     return replace(options, images=found.images, rpcs=found.rpcs if any(found.rpcs) else ())
 
 

@@ -40,8 +40,8 @@ def view_stretch(
 ) -> Stretch:
     """The stretch of an image of any bit depth, from a reduced reading of its pixels that are not masked.
 
-    ``part`` is the window that is used of the image, where it is not the whole: what lies outside has no part in the
-    stretch, unless the window itself shows nothing. Raises ImageError where the image holds only nodata or one value.
+    ``part`` is the window that is used of the image, where it is not the whole: pixels outside do not count, unless the
+    window itself shows nothing. Raises ImageError where the image holds only nodata or one value.
     """
     known, (low, high) = _sampled(path, band, mask, part, parameters)
     if part is not None and high <= low:

@@ -52,7 +52,7 @@ def unit_m(dataset: gdal.Dataset, band: int = 1) -> float:
 def _unit_of_crs(wkt: str) -> float:
     try:
         return (metres_per_unit(pyproj.CRS.from_user_input(wkt)) or 1.0) if wkt else 1.0
-    except CRSError:  # who needs the CRS says so
+    except CRSError:  # whoever needs the CRS reports the error
         return 1.0
 
 

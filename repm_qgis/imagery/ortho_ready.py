@@ -136,8 +136,8 @@ def _is_map_product(crs: str, transform: Tuple[float, ...]) -> bool:
 
 
 def _of_these_pixels(rpc: Rpc, plane: MapPlane, size: Tuple[int, int]) -> bool:
-    """Whether the RPC counts the pixels of the projected image: it sees their places on the map, at some height, at
-    these very pixels, but for a shift that all have in common."""
+    """Whether the RPC counts the pixels of the projected image: it projects their places on the map, at some height, to
+    these same pixels, apart from a shift that all pixels share."""
     columns, rows = np.meshgrid(*(np.linspace(0, side - 1, 5) for side in size))
     pixels = np.stack([columns.ravel(), rows.ravel()], axis=1)
     ground = plane.ground(pixels)
@@ -150,7 +150,7 @@ def _of_these_pixels(rpc: Rpc, plane: MapPlane, size: Tuple[int, int]) -> bool:
         return found
 
     height = plane.height
-    slope = (apart(height + 100.0) - apart(height)) / 100.0  # px a metre, almost the same at all heights
+    slope = (apart(height + 100.0) - apart(height)) / 100.0  # px for one metre, almost the same at all heights
     steep = float((slope**2).sum())
     if np.isfinite(steep) and steep > 1e-12:
         height = float(np.clip(height - (slope * apart(height)).sum() / steep, *_HEIGHTS_M))
@@ -167,7 +167,7 @@ def _of_these_pixels(rpc: Rpc, plane: MapPlane, size: Tuple[int, int]) -> bool:
 @dataclass(frozen=True)
 class _Facts:
     """What a product's files say: the words that make it an orthoimage, or an ortho-ready one ("" for none), and the
-    height of its plane with where it stands."""
+    height of its plane with the file that states it."""
 
     ortho: str = ""
     ready: str = ""
@@ -175,12 +175,12 @@ class _Facts:
 
 
 def _facts(path: str) -> _Facts:
-    """What the files beside an image say of its level; those that cannot be read say nothing."""
+    """What the files beside an image say of its level; files that cannot be read are ignored."""
     ortho, ready, heights = "", "", []
     for file in time_sidecars(path):
         name = re.split(r"[/\\]", file)[-1]
         try:
-            said = list(_said(sidecar_text(file)))
+            said = list(_stated(sidecar_text(file)))
         except RpcError:
             continue
         for key, value in said:
@@ -194,12 +194,12 @@ def _facts(path: str) -> _Facts:
                 ortho = ortho or f"{value} in '{name}'"
             elif _READY.fullmatch(value.upper()):
                 ready = ready or f"{value} in '{name}'"
-    # Only a product at one height has one: of an orthoimage's corners each has its own.
+    # Only a product at one height states one height: each corner of an orthoimage has its own.
     one = bool(heights) and max(h for h, _ in heights) - min(h for h, _ in heights) <= _SAME_M
     return _Facts(ortho, ready, heights[0] if one and (ready or ortho == "") else None)
 
 
-def _said(text: str) -> Iterator[Tuple[str, str]]:
+def _stated(text: str) -> Iterator[Tuple[str, str]]:
     """(what, value) of a product's file: "level", "dem" (how heights were treated) and "height"."""
     if text.lstrip().startswith("<"):
         found = xml_texts(text, (*_LEVELS, "DEMCORRECTION", "TERRAINHAE"))

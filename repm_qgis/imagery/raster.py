@@ -405,8 +405,8 @@ _NO_PIXELS = (".aux.xml", ".ovr", ".txt", ".rpb", ".rpc", ".imd", ".geom", ".jso
 
 
 def content_of(path: str) -> str:
-    """What tells the pixels of a raster from those of another one that took its name (:func:`.workspace.file_sample`),
-    wherever the files lie; "" for one that is not on a disk.
+    """A digest that distinguishes a raster's pixels from those of another raster that replaced it under the same name
+    (:func:`.workspace.file_sample`), wherever the files lie; "" for one that is not on a disk.
 
     Statistics and overviews that programs add later do not count, nor do metadata.
     """

@@ -30,7 +30,7 @@ class Sensor:
 def _sensor(
     name: str, calls: str, ce90_m: Optional[float] = None, le90_m: Optional[float] = None, source: str = ""
 ) -> Sensor:
-    """A row; no letter stands before what a file calls the satellite, so that no part of another word counts."""
+    """A row; no letter may precede the satellite's name in a file, so that a part of another word does not match."""
     return Sensor(name, re.compile(f"(?<![A-Za-z])(?:{calls})", re.ASCII | re.IGNORECASE), ce90_m, le90_m, source)
 
 

@@ -32,8 +32,8 @@ def box_filter(side: int, border: int = cv2.BORDER_REFLECT) -> Callable[[FloatIm
 def gaussian_mean(known: Mask, sigma_px: float) -> Callable[[FloatImage], FloatImage]:
     """A function that takes an image to the means of its known pixels in a Gaussian window.
 
-    Wide means are smooth, so that they are made of a reduced image: means of squares, their Gaussian, and what is
-    linear between have together the variance of the window that is asked for.
+    Wide means are smooth, so that they are made of a reduced image: the means of squares, their Gaussian, and the
+    linear interpolation together have the variance of the requested window.
     """
     weight = known.astype(np.float32)
     factor = 1

@@ -12,7 +12,8 @@ NMAD_FACTOR = 1.4826  # the standard deviation of Gaussian noise over its median
 
 
 def nmad(values: Floats, centre: Optional[float] = None) -> float:
-    """The normalised absolute deviation of finite values from their median or a known centre; inf where none are."""
+    """The normalised absolute deviation of finite values from their median or a known centre; inf where there are
+    none."""
     away = values - (np.median(values) if centre is None else centre) if values.size else np.array([np.inf])
     return NMAD_FACTOR * float(np.median(np.abs(away)))
 

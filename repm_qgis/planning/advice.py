@@ -26,7 +26,7 @@ _PARTS = (("north-west", "north", "north-east"), ("west", "middle", "east"), ("s
 def ties_by_tile(scene: Scene, xy: FloatArray, parameters: AdviceParameters = PLANNING.advice) -> Dict[str, int]:
     """The number of ties (N, 2) in each tile, or in a fifth of the scene around its middle where that is larger.
 
-    Ties of a large scene lie in patches, so that a small tile may have none of its own.
+    Ties of a large scene lie in patches, so that a small tile may contain none.
     """
     bounds = np.array([tile.bounds for tile in scene.tiles])
     least = (bounds[:, 2:].max(axis=0) - bounds[:, :2].min(axis=0)) / parameters.cells
@@ -38,7 +38,8 @@ def ties_by_tile(scene: Scene, xy: FloatArray, parameters: AdviceParameters = PL
 
 
 def ties_by_part(scene: Scene, xy: FloatArray, parameters: AdviceParameters = PLANNING.advice) -> Dict[str, int]:
-    """The number of ties (N, 2) in the north-west, north ... of the area: in each ninth of its bounds that it fills."""
+    """The number of ties (N, 2) in the north-west, north ... of the area: in each ninth of the area's bounds that the
+    area fills."""
     area = ogr.CreateGeometryFromWkt(scene.area)
     xmin, ymin, xmax, ymax = bounds_of(area)
     x, y = np.linspace(xmin, xmax, 4), np.linspace(ymax, ymin, 4)
@@ -91,11 +92,11 @@ def absolute_height(
     else:
         promise = (
             f"The RPCs' errors are promised, or assumed, to be at most {_promises(views, promises)}. In this geometry "
-            f"that alone is LE90 {promised_m:.1f} m in height, if the images' errors have nothing in common."
+            f"they cause height errors of LE90 {promised_m:.1f} m, if the errors of the images are independent."
         )
     measured = (
-        f"The RPCs disagree by {apart:.2f} px across the parallax, {known.disagreement:.2f} times as much as that "
-        "lets expect."
+        f"The RPCs disagree by {apart:.2f} px across the parallax, {known.disagreement:.2f} times what such errors "
+        "would cause."
     )
     if known.outside is not None:
         measured = f"{measured} The ground lies outside the heights that they were made for."
@@ -146,8 +147,8 @@ def _uncertain(scene: Scene, figures: PointingFigures, parameters: PlanningParam
     promised_m = parameters.promises.le90 * known.promised_m
     if known.disagreement > limits.disagreement:
         reasons.append(
-            f"they disagree {known.disagreement:.1f} times as much as the promise lets expect (sound ones less than "
-            f"{limits.disagreement:g} times)"
+            f"they disagree by {known.disagreement:.1f} times what the promised errors would cause (sound RPCs: less "
+            f"than {limits.disagreement:g} times)"
         )
     for view in scene.views:
         moved_m = math.hypot(*figures.shifts_px.get(view.name, (0.0, 0.0))) * view.gsd_m

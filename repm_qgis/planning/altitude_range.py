@@ -38,7 +38,7 @@ _ROOM = 1.5  # times the distance at which two images may just touch: their RPCs
 
 @dataclass(frozen=True)
 class SweepResult:
-    """The range found, margins included; how many of all cells gave an altitude; the distance of the planes; and the
+    """The range found, margins included; how many of all cells gave an altitude; the distance between planes; and the
     (N, 3) longitudes, latitudes and altitudes of these cells."""
 
     altitudes: Altitudes
@@ -416,7 +416,7 @@ def altitude_range(
         low, high, known = dem_range(dem, crs, bounds)
         if not known:
             unknown = f"The DEM '{dem}' does not state its vertical datum"
-            progress.warn(f"{unknown}: its heights are taken as metres above the WGS 84 ellipsoid.")
+            progress.warn(f"{unknown}: its heights are assumed to be metres above the WGS 84 ellipsoid.")
         found, source = altitudes.around_dem(low, high), "DEM"
     else:
         swept = sweep_altitudes(
@@ -439,5 +439,5 @@ def altitude_range(
     if low >= high:
         option, value = ("ALTITUDE_MIN", low) if given[0] is not None else ("ALTITUDE_MAX", high)
         ends = f"{found[0]:.0f} and {found[1]:.0f} m"
-        raise OptionError(option, value, f"leaves no range: the ground lies between {ends}")
+        raise OptionError(option, value, f"leaves no altitude range: the ground lies between {ends}")
     return (float(low), float(high)), sources[0] if sources[0] == sources[1] else f"{sources[0]} and {sources[1]}"

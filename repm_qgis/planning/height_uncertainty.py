@@ -1,11 +1,11 @@
 """How uncertain the absolute height is without ground control: what vendors promise, and how much RPCs disagree.
 
 The errors of the images' lines of sight on the ground are taken as normal and different in each image. The vendors
-promise their deviation; by how many times it is wrong in a scene (its factor) has a prior distribution: the root of a
+promise their deviation; the factor by which this deviation is wrong in a scene has a prior distribution: the root of a
 scaled inverse chi-square around one (Gelman et al., Bayesian Data Analysis, 2013, section 2.6), and in a few scenes,
 with an RPC of another image or a gross error, anything above one. The disagreement of the RPCs is evidence of the
-factor, and the height is distributed as a mixture of normal distributions over it. Ground outside the heights that
-the RPCs were made for tells of a gross error, and bounds it from both sides.
+factor, and the height is distributed as a mixture of normal distributions over it. Ground outside the heights that the
+RPCs were made for is evidence of a gross error, and bounds its size on both sides.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class HeightUncertainty:
     what the RPCs' disagreement and ground ``outside`` their heights add to it: 95 % of the errors lie within two of
     these.
 
-    ``disagreement`` is how large the observed disagreement is, as a share of what the promise lets expect (root mean
-    square of ``freedom`` independent parts: one for a pair, 2 n - 3 for n images).
+    ``disagreement`` is how large the observed disagreement is, as a share of what the promised errors would cause (root
+    mean square of ``freedom`` independent parts: one for a pair, 2 n - 3 for n images).
     """
 
     promised_m: float
@@ -135,7 +135,7 @@ def _of_group(
     jacobians, across, errors = [], [], []
     for view, deviation in zip(views, deviations):
         jacobian = (view.project(moved) - view.project(place)).T  # (2, 3) px for each metre east, north and up
-        # What errors of one promised deviation on the ground move in the image; and the shift in these units.
+        # How far errors of one promised deviation on the ground move pixels in the image; and the shift in these units.
         scaled = jacobian[:, :2] * deviation
         jacobians.append(jacobian)
         across.append(scaled)

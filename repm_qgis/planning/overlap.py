@@ -63,7 +63,8 @@ def views_of(options: EpmFitOptions, least_px: float, warn: Warn = lambda text: 
 
 
 def _each_once(views: Sequence[View], warn: Warn) -> List[View]:
-    """The views without copies of others, which would be counted as witnesses of their own; ``warn`` is told of them.
+    """The views without copies of others, which would count as independent evidence; ``warn`` gets a sentence about
+    each.
 
     A copy's RPC may have been rounded. Raises RpcInvalidError where other pixels have the same RPC, or the same pixels
     another RPC, and OverlapError where all are copies of one.
@@ -82,8 +83,8 @@ def _each_once(views: Sequence[View], warn: Warn) -> List[View]:
         alike = next((other for other in kept if other.model == view.model), None)
         if same is None and alike is not None:
             raise RpcInvalidError(
-                f"The images {alike.name} and {view.name} have the same RPC: give each image its own (the file beside "
-                "it, or RPCS); give parts of one image as one."
+                f"The images {alike.name} and {view.name} have the same RPC: give each image its own RPC (the file "
+                "beside it, or RPCS), and give the parts of one image as one image."
             )
         if same is None:
             kept.append(view)
@@ -94,7 +95,7 @@ def _each_once(views: Sequence[View], warn: Warn) -> List[View]:
                 f"The images {same.name} and {view.name} have the same pixels, but RPCs that place them {apart:.1f} px "
                 "apart: give the image once, with its own RPC."
             )
-        warn(f"The image {view.name} ('{view.image}') is a copy of {same.name}: it is left out, and counts once.")
+        warn(f"The image {view.name} ('{view.image}') is a copy of {same.name}: only {same.name} is used.")
     if len(kept) == 1 < len(views):
         raise OverlapError(f"All images are copies of '{kept[0].image}': choose another image of the same ground.")
     return kept

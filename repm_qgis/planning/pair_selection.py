@@ -27,16 +27,16 @@ from .parameters import PLANNING, PairParameters
 
 _YEAR = 365.25
 Seen = Mapping[str, Mask]
-"""By the names of views, which of some places they see."""
+"""For each view's name, which of the places it sees."""
 
 
 def choose_pairs(scene: Scene, parameters: PairParameters = PLANNING.pairs) -> List[ViewPair]:
     """Pairs that share tiles and are neither too narrow to measure heights nor too wide to match, best first.
 
     Of up to three views, these are all pairs that can measure heights. Of more views, each one keeps its two best
-    good pairs (:func:`pair_cost`), and further pairs are added, good ones first, until all views are connected. Of many
-    pairs over the same ground, those go that neither of their views needs; where two views see ground that no pair
-    covers, one comes. Raises EmptyResultError with the angles where no pair is usable.
+    good pairs (:func:`pair_cost`), and further pairs are added, good ones first, until all views are connected. Where
+    many pairs cover the same ground, those that neither of their views needs are removed; where two views see ground
+    that no pair covers, a pair is added. Raises EmptyResultError with the angles where no pair is usable.
     """
     candidates, seen = _candidates(scene, parameters)
     return best_pairs(candidates, seen, [view.name for view in scene.views], parameters)
@@ -75,7 +75,7 @@ def pair_cost(
     * overlap: -ln(part of the area that both see), so that half of it costs as much as twice the angle;
     * time: :func:`change_cost`, or ``unknown`` where a time is not known;
     * ground sampling distance: ln of how many times coarser the pair is matched than the ``finest`` one (m; 0: not
-      known), but for what counts as alike: an error in px is that many times as large in metres.
+      known), apart from what counts as equal: an error in px is that many times as large in metres.
 
     References
     ----------
@@ -235,7 +235,7 @@ def _few(ranked: Sequence[ViewPair], names: Sequence[str], parameters: PairParam
 
 
 def _without_surplus(kept: List[ViewPair], names: Sequence[str], parameters: PairParameters) -> List[ViewPair]:
-    """Where the ground is covered by pairs enough, those go, worst first, that neither of their views needs."""
+    """Where enough pairs cover the ground, those that neither of their views needs are removed, worst first."""
     count = Counter(name for pair in kept for name in pair.names)
     connected = len(_groups(names, kept))
     for pair in reversed(kept):
@@ -251,8 +251,8 @@ def _without_surplus(kept: List[ViewPair], names: Sequence[str], parameters: Pai
 def _uncovered(
     kept: Sequence[ViewPair], ranked: Sequence[ViewPair], seen: Seen, parameters: PairParameters
 ) -> List[ViewPair]:
-    """Further good pairs, until little is left of the ground that good pairs see, but none of the kept ones. Of those
-    that cover at least half as much of it as any other, the best comes first."""
+    """Further good pairs, until little ground is left that good pairs see and no kept pair does. Of the pairs that
+    cover at least half as much of it as any other, the best comes first."""
 
     def covered(pairs: Sequence[ViewPair]) -> Mask:
         ground: Mask = np.any([seen[pair.first] & seen[pair.second] for pair in pairs], axis=0)

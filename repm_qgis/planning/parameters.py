@@ -30,7 +30,7 @@ class SweepParameters(Parameters):
     enough_share: float = 0.1  # of all cells with an altitude: with fewer, the next best pair is tried,
     pairs: int = 4  # up to so many pairs
     block_share: float = 0.25  # of the area: where no pair sees so much, each part of it has a pair of its own
-    block_levels: int = 3  # heights of the RPCs at which that is asked: the ground's is not known yet
+    block_levels: int = 3  # heights of the RPCs at which that is tested: the ground's height is not known yet
     most_seen: float = 0.8  # of what any pair sees of a part: the best pair that sees so much is taken
     most_planes: int = 180  # planes of a sweep
     shift_planes: int = 40  # planes that are tried when the shift between two views is searched
@@ -63,12 +63,12 @@ class PairParameters(Parameters):
     per_view: int = 2  # good pairs that each view gets; more cost time, and gain nothing (`make bench-towns`)
     enough: float = 12.0  # pairs over the ground, in the mean: what more of them add is no gain (`make bench-towns`)
     uncovered: float = 0.03  # of the ground that good pairs see: so much may be without one of those that are matched
-    places: int = 64  # of the ground along each side, of which it is asked whether a pair covers them; chosen
+    places: int = 64  # of the ground along each side, at which the coverage by pairs is tested; chosen
     most_per_view: int = 3  # pairs of a view that is a good partner of many; more only to connect all views
     decade_cost: float = 0.5  # for each power of ten of days between two images; `make bench-towns`
     season_cost: float = 0.5  # of the opposite season
     sun_cost_deg: float = 10.0  # angle between two suns that is as bad as an angle of convergence wrong by a factor e
-    least_overlap: float = 0.05  # of the smaller of two of many images: less holds too few tie points. Chosen
+    least_overlap: float = 0.05  # of the smaller image, where there are many: less has too few tie points. Chosen
     least_share: float = 0.01  # of the area: smaller overlaps cost as much as this one
 
     def fewest(self) -> "PairParameters":
@@ -110,11 +110,11 @@ class AdviceParameters(Parameters):
     few_ties: int = 5  # around a tile or in a part of the scene
     few_share: float = 0.25  # of a part's mean: with few ties in all, no part is worse than the others
     trend_px: float = 1.0  # over an image: sound RPCs need 0.01 to 0.21 px
-    disagreement: float = 3.0  # of RPCs, in what their promise lets expect: sound ones have 0.005 to 0.14
+    disagreement: float = 3.0  # times what the promised errors of the RPCs would cause: sound ones have 0.005 to 0.14
     uncertain: float = 2.0  # times the promised uncertainty of the height
     least_part: float = 0.1  # of a ninth of the area's bounds: less of it is a corner
     cells: int = 5  # along a side of the scene: ties of a tile are counted in at least such a cell around it
-    small_overlap: float = 0.3  # of the smaller of two images: less of it is a strip along a border
+    small_overlap: float = 0.3  # of the smaller of two images: a smaller overlap is a strip along a border
     first_side_m: float = 1000.0  # of the small area that is proposed for a first trial
 
 

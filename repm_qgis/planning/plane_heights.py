@@ -1,10 +1,10 @@
 """The heights of the planes that ortho-ready images were projected to, where their metadata do not state them.
 
-If the heights of all images are wrong by the same amount, each line of sight passes through its place on the map that
-much too high or too low, and so does every point where two of them meet: all heights of the surface are off by that
-amount, and nothing else is. No measure in the images can show it, so it takes heights of the ground: a DEM's. Where the
-heights of two images are wrong by different amounts, their lines of sight miss each other by the difference times the
-part of their lean that they have in common; pointing takes that vertical parallax out, as it does every shift.
+If the heights of all images are wrong by the same amount, each line of sight passes its place on the map too high or
+too low by this amount, and so does every point where two of them meet: all heights of the surface are wrong by this
+amount, and nothing else is. No measure in the images can show it: heights of the ground are needed, from a DEM. Where
+the heights of two images are wrong by different amounts, their lines of sight miss each other by the difference times
+the part of their inclination that they share; the pointing removes this vertical parallax, as it does any shift.
 """
 
 from __future__ import annotations
@@ -53,13 +53,15 @@ def with_planes(
     names = listed([view.name for view in assumed])
     known = [view.plane.height for view in views if view.plane is not None and view.plane.source]
     height = float(np.mean(known or [view.plane.height for view in assumed if view.plane is not None]))
-    views = tuple(_at(view, height, "") if view in assumed else view for view in views)
+    views = tuple(_at_plane(view, height, "") if view in assumed else view for view in views)
     if known:
         progress.warn(
-            f"Nothing states to which height {names} were projected: {height:.0f} m above the ellipsoid is taken, the "
+            f"Nothing states to which height {names} were projected: {height:.0f} m above the ellipsoid is used, the "
             f"mean of the other images' heights. {_REMEDY}"
         )
-        return tuple(_at(view, height, "the other images") if _is_assumed(view) else view for view in views), search
+        return tuple(
+            _at_plane(view, height, "the other images") if _is_assumed(view) else view for view in views
+        ), search
     wide = search[0] - parameters.reach_m, search[1] + parameters.reach_m
     if dem:
         found = _from_dem(
@@ -68,13 +70,14 @@ def with_planes(
         if found is not None:
             height += found[0]
             progress.info(
-                f"Nothing states to which height {names} were projected: it was found to be {height:.1f} m above the "
-                f"ellipsoid, with which what they show lies on the DEM (median of {found[1]} places)."
+                f"Nothing states to which height {names} were projected: {height:.1f} m above the ellipsoid was "
+                f"found, the height at which the ground of the images agrees with the DEM (median of {found[1]} "
+                "places)."
             )
-            return tuple(_at(view, height, "DEM") if _is_assumed(view) else view for view in views), search
+            return tuple(_at_plane(view, height, "DEM") if _is_assumed(view) else view for view in views), search
     progress.warn(
         f"Nothing states to which height {names} were projected: {height:.0f} m above the ellipsoid is assumed, the "
-        "middle of the RPC's heights. All heights of the DSM are wrong by as much as this one, and nothing else is. "
+        "middle of the RPC's heights. An error of this height is an error of all heights of the DSM. "
         f"{_REMEDY}"
     )
     return views, wide
@@ -84,7 +87,7 @@ def _is_assumed(view: View) -> bool:
     return view.plane is not None and not view.plane.source
 
 
-def _at(view: View, height: float, source: str) -> View:
+def _at_plane(view: View, height: float, source: str) -> View:
     plane = view.plane
     return view if plane is None else replace(view, plane=replace(plane, height=height, source=source))
 
@@ -113,7 +116,7 @@ def _from_dem(
     fine = replace(sweep, reduction=parameters.fine_reduction)
     near = low - parameters.fine_reach_m, high + parameters.fine_reach_m
     for heights, how in ((search, sweep), (near, fine)):
-        moved = [_at(view, view.plane.height + added, "") if view.plane is not None else view for view in views]
+        moved = [_at_plane(view, view.plane.height + added, "") if view.plane is not None else view for view in views]
         swept = sweep_altitudes(moved, crs, bounds, search=heights, progress=progress, parameters=how)
         if swept is None:
             return None

@@ -55,8 +55,8 @@ def promised(views: Sequence[View], parameters: PlanningParameters = PLANNING) -
 
     Horizontally it is the root mean square of the views': those of one pass are wrong together, so that more of them do
     not make it better. Vertically it is the vendors' LE90 (the largest) where all of them publish one. Otherwise it
-    follows from the widest pair that would be matched: errors of two lines of sight that have nothing in common move
-    their intersection up by sqrt(2) / (B/H) times the horizontal error, and errors of one pass by less.
+    follows from the widest pair that would be matched: independent errors of two lines of sight move their intersection
+    up by sqrt(2) / (B/H) times the horizontal error, and errors of one pass by less.
     """
     promises = [promise_of(view, parameters.promises) for view in views]
     square = sum(promise.horizontal_m**2 for promise in promises) / len(promises)

@@ -35,13 +35,13 @@ class RunEstimate(NamedTuple):
         """What the log says of a run that begins."""
         time, size = duration(self.wall_s), f"{self.mib / 1024:.1f} GiB"
         workers = counted(self.workers, "worker")
-        return f"This run will take about {time} with {workers}, and {size} of memory; less where it is continued."
+        return f"This run will take about {time} with {workers} and {size} of memory. A continued run takes less."
 
     def outlook(self) -> str:
         """What a page says of a run that may come."""
         time, size = duration(self.wall_s), f"{self.mib / 1024:.1f} GiB"
         workers = counted(self.workers, "worker")
-        return f"A DSM of all this ground will take about {time} with {workers}, and {size} of memory."
+        return f"A DSM of all this ground will take about {time} with {workers} and {size} of memory."
 
 
 def estimate_run(

@@ -162,7 +162,7 @@ def _compared(shift: "_Solution", affine: "_Solution", parameters: AdjustmentPar
 
 
 def _may_jitter(steady: "_Solution", parameters: JitterParameters) -> bool:
-    """Whether the ties' residuals look as if there were waves: at the cost of one step of the solution."""
+    """Whether the ties' residuals suggest waves, tested at the cost of one step of the solution."""
     waves = waves_over(steady.rows, parameters.asked_lines, parameters)
     if waves is None:
         return False
@@ -228,14 +228,14 @@ class _Solution:
         """The same corrections and, as unknowns that are zero now, splines of the images' lines."""
         found = copy(self)
         found.waves, found.groups = waves, [copy(group) for group in self.groups]
-        found.control = self._everyone  # waves may be why some contradicted the others
+        found.control = self._everyone  # waves may be the reason why some contradicted the others
         own = self.corrections.reshape(len(self.views), 2, -1)
         splines = np.zeros((*own.shape[:2], waves.count))
         found.corrections = np.concatenate([own, splines], axis=2).reshape(len(self.views), -1)
         return found
 
     def looked_at(self) -> "_Solution":
-        """One step towards the solution: enough to see whether there are waves."""
+        """One step towards the solution, enough to see whether there are waves."""
         self.corrections = self.corrections + self._step(_huber, False)
         self._intersect(passes=1)
         return self
@@ -384,7 +384,7 @@ class _Solution:
         if self.waves is not None:
             normal = normal + self._prior(self.waves, sigma)
         values, vectors = np.linalg.eigh(normal)
-        # Before the first corrections residuals are not noise, and say nothing about what is determined.
+        # Before the first corrections the residuals are not noise, and do not show which parameters are determined.
         limit = self._parameters.control_known_px if control else self._parameters.known_px
         limit = limit if self.waves is None else max(limit, self._jitter.known_px)
         noise = 0.0 if weights is _huber else sigma / limit
@@ -393,15 +393,15 @@ class _Solution:
         step = known @ ((known.T @ whole) / values[enough]) - self.corrections.ravel()
         self._covariance = sigma**2 * (known / values[enough]) @ known.T
         self._determined = float(np.count_nonzero(enough))
-        if self.waves is not None:  # what the prior alone gives is no parameter of the fit
+        if self.waves is not None:  # what only the prior determines does not count as a parameter of the fit
             self._determined -= float(np.sum(self._covariance * self._prior(self.waves, 1.0)))
         if control:
             self._estimate_noise(control, share, step, robust)
         return np.asarray(step.reshape(count, p))
 
     def _prior(self, waves: Waves, sigma: float) -> FloatArray:
-        """(n, n) what is known of all corrections beforehand, as normal equations of ties with such a noise: how large
-        waves are, and how affine corrections are where waves could take their place."""
+        """(n, n) the prior of all corrections, as normal equations of ties with this noise: how large waves are, and
+        how large affine corrections are where waves could take their place."""
         n = self.corrections.shape[1] // 2
         one: FloatArray = np.zeros((n, n))
         one[-waves.count :, -waves.count :] = waves.prior(self._jitter)
@@ -546,8 +546,8 @@ def _pseudo_inverse(jacobian: FloatArray) -> FloatArray:
     """(n, 3, m) of (n, m, 3) with rank three, which rays that meet at an angle give; far faster than an SVD."""
     transposed = np.swapaxes(jacobian, 1, 2)
     square = transposed @ jacobian
-    # Rays from one place meet nowhere: a small ridge keeps their point where it is. Where a point has left the Earth,
-    # nothing moves it back.
+    # Rays from one place do not intersect: a small ridge keeps their point where it is. A point that has left the Earth
+    # is not moved back.
     trace = np.trace(square, axis1=1, axis2=2)[:, None, None]
     ridge = np.maximum(1e-12 * trace, np.finfo(float).tiny) * np.eye(3)
     return np.linalg.solve(square + ridge, transposed)

@@ -1,4 +1,4 @@
-"""What ground control points know of a shift of the whole ground: their weight against other references."""
+"""How well ground control points determine a shift of the whole ground: their weight against other references."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def control_information(
     """(3, 3) information of a shift to the east, to the north and up, 1 / m²: its inverse is the shift's covariance.
 
     Each measured pixel of a control point observes the point's place with ``noise_px`` in each direction; ``rejected``
-    points count nothing.
+    points do not count.
     """
     information = np.zeros((3, 3))
     for gcp in gcps:

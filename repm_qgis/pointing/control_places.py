@@ -1,7 +1,7 @@
 """Whether control points belong to the images at all: where the vendors' RPCs put their pixels, and where they lie.
 
 The adjustment finds and leaves out single wrong points. A table that is wrong as a whole (another place, CRS or order
-of columns) has no majority to find them by, and would be fitted.
+of columns) has no correct majority to compare with, and would be fitted.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _SWAPS: Tuple[Tuple[str, Callable[[Gcp], Gcp]], ...] = (
 @dataclass(frozen=True)
 class PlacedPoint:
     """A point in the image where it is nearest to its pixel: metres on the ground between the two (infinite where the
-    RPC cannot say), the largest distance that is believable, and whether it lies in the footprint of any image."""
+    RPC gives none), the largest plausible distance, and whether it lies in the footprint of any image."""
 
     gcp: Gcp
     view: str
@@ -48,12 +48,12 @@ def placed_points(
     gcps: Sequence[Gcp], views: Sequence[View], parameters: PointingParameters = POINTING
 ) -> List[PlacedPoint]:
     """Every point that is measured in an image; pointing corrections are not used."""
-    return [_placed(gcp, seen, parameters) for gcp in gcps for seen in [_seen(gcp, views)] if seen]
+    return [_placed(gcp, seen, parameters) for gcp in gcps for seen in [_measuring(gcp, views)] if seen]
 
 
 def misplaced(gcps: Sequence[Gcp], views: Sequence[View], path: str, parameters: PointingParameters = POINTING) -> str:
-    """What is wrong with points as a whole, in one sentence; "" where at most as many are far from their pixels as
-    the adjustment can name and leave out."""
+    """What is wrong with the table as a whole, in one sentence; "" where so few points are far from their pixels that
+    the adjustment can name them and leave them out."""
     placed = placed_points(gcps, views, parameters)
     far = [point for point in placed if point.is_far]
     if len(far) <= most_set_aside(len(placed)):
@@ -65,7 +65,7 @@ def misplaced(gcps: Sequence[Gcp], views: Sequence[View], path: str, parameters:
     return (
         f"{len(far)} of {counted(len(placed), 'point')} of '{path}' lie too far from where the vendors' RPCs put their "
         f"pixels: {_length(distances[len(distances) // 2])} in the median, {_length(worst.distance_m)} at the worst "
-        f"('{worst.gcp.id}' in {worst.view}), where at most {limit:.0f} m are believable (the RPCs' promise and "
+        f"('{worst.gcp.id}' in {worst.view}), where at most {limit:.0f} m are plausible (the RPCs' promise plus "
         f"{parameters.places.margin_m:.0f} m), and {outside or 'none'} of them outside the images' footprints: "
         f"{_remedy(gcps, views, parameters)}."
     )
@@ -91,7 +91,7 @@ def _remedy(gcps: Sequence[Gcp], views: Sequence[View], parameters: PointingPara
     )
 
 
-def _seen(gcp: Gcp, views: Sequence[View]) -> List[View]:
+def _measuring(gcp: Gcp, views: Sequence[View]) -> List[View]:
     return [view for view in views if view.name in gcp.pixels]
 
 
@@ -116,7 +116,7 @@ def _distance(gcp: Gcp, view: View) -> float:
 
 
 def _length(metres: float) -> str:
-    """A distance as people read it."""
+    """A distance in words."""
     if not math.isfinite(metres):
         return "farther than the RPC reaches"
     return f"{metres / 1000:.1f} km" if metres >= 1000 else f"{metres:.0f} m"

@@ -1,14 +1,14 @@
 """Whether two images have each other's RPC.
 
 Seen from far away, two images that are exchanged show the same ground upside down: their ties fit ground points just as
-well, and nothing but the small things that differ between two lines of sight tells (scale, rotation, the change of both
-with height). So the ties of each pair are fitted twice, with the RPCs as they are and exchanged, with shifts alone:
-what sound RPCs need no more than. An affine correction would take these small things away.
+well, and only small differences between two lines of sight reveal the exchange (scale, rotation, the change of both
+with height). So the ties of each pair are fitted twice, with the RPCs as they are and exchanged, and with shifts only:
+sound RPCs need no more. An affine correction would absorb these small differences.
 
 Where two images alone leave a doubt, as forward and backward ones of a satellite do, the ties that each has with all
-other images are fitted with them: a third line of sight tells more.
+other images are fitted with them: a third line of sight gives more evidence.
 
-The better fit counts by Schwarz's information criterion; both models have the same number of parameters.
+The fits are compared by Schwarz's information criterion; both models have the same number of parameters.
 """
 
 from __future__ import annotations
@@ -125,8 +125,8 @@ def require_own_rpcs(
     *,
     info: Callable[[str], None] = lambda text: None,
 ) -> None:
-    """Warn where the ties say that two images have each other's RPC; raise RpcInvalidError where they leave no doubt,
-    and give information where they do not tell.
+    """Warn where the ties suggest that two images have each other's RPC; raise RpcInvalidError where they leave no
+    doubt, and give information where they do not decide it.
 
     Views, tracks and altitude are those of :func:`exchanges`.
     """
@@ -142,8 +142,8 @@ def require_own_rpcs(
         remedy = "give each image its own RPC (the file beside it, or RPCS)"
         if each.evidence <= p.least_evidence:
             info(
-                f"Nothing in the images tells whether {first} and {second} have each other's RPC, which would turn the "
-                f"surface upside down: {found}. A DEM or a reference tells it."
+                f"The images do not show whether {first} and {second} have each other's RPC, which would turn the "
+                f"surface upside down: {found}. Compare the DSM with a DEM or a reference."
             )
             continue
         if each.evidence > p.sure_evidence and each.exchanged_px <= p.sure_px:

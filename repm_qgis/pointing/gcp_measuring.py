@@ -22,8 +22,8 @@ class PointCheck:
 
     ``residuals`` are (2,) px by view, measured minus predicted from the point's place: the vendors' pointing errors are
     in them. ``offset`` is (3,) east, north, up in metres from the place to the intersection of the rays (None with
-    fewer than two images), and ``misses`` are (2,) px by view, measured minus the intersection's projection: what the
-    images contradict each other by.
+    fewer than two images), and ``misses`` are (2,) px by view, measured minus the intersection's projection: by how
+    much the images contradict each other.
     """
 
     residuals: Dict[str, FloatArray]

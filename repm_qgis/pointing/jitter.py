@@ -1,9 +1,9 @@
 """Attitude jitter as unknowns of the adjustment: splines of each view's lines, and whether ties show waves at all.
 
-Ties show what jitter does across the parallax, because lines of sight then miss each other. Along the parallax it
-changes heights; where three views look from different directions, their disagreement shows that too, and relief tells
-the views' waves apart, because points of different heights lie in different lines (Teshima and Iwasaki 2008; Tong et
-al. 2015; docs/method.md, "Jitter").
+Ties show the jitter across the parallax, because lines of sight then miss each other. Along the parallax it
+changes heights; where three views look from different directions, their disagreement shows that too, and relief
+separates the views' waves, because points of different heights lie in different lines (Teshima and Iwasaki 2008; Tong
+et al. 2015; docs/method.md, "Jitter").
 """
 
 from __future__ import annotations

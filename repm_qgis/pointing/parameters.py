@@ -39,7 +39,7 @@ class JitterParameters(Parameters):
     (`make bench-jitter`)."""
 
     knots_lines: Tuple[float, ...] = (300.0, 200.0, 130.0, 90.0)  # between two knots of the splines: a wave needs four
-    asked_lines: float = 130.0  # of which it is asked whether there are waves at all
+    asked_lines: float = 130.0  # of the first test for waves
     least_intervals: int = 4  # between knots: shorter parts of images show no waves
     most_intervals: int = 160  # bounds memory and time,
     most_unknowns: int = 1200  # as does this, of many views
@@ -70,11 +70,11 @@ class ControlParameters(Parameters):
 class ExchangeParameters(Parameters):
     """Whether two images have each other's RPC (pointing/exchanged.py; `make bench-own_rpcs`)."""
 
-    least_ties: int = 20  # of two images: fewer say nothing. Chosen
-    most_ties: int = 200  # that are asked: bounds the time. Chosen
-    view_ties: int = 50  # for each of many views, of which it is asked whether its ties fit. Chosen
+    least_ties: int = 20  # of two images: fewer are no evidence. Chosen
+    most_ties: int = 200  # that are fitted: bounds the time. Chosen
+    view_ties: int = 50  # for each of many views, to test whether its ties fit. Chosen
     limit: float = 5.0  # median residuals beyond which all ties count alike. Chosen
-    most_views: int = 24  # of which all pairs are asked: the time grows with their square. Chosen
+    most_views: int = 24  # of which all pairs are tested: the time grows with their square. Chosen
     least_base_to_height: float = 0.02  # of two images: an exchange of narrower ones turns no surface. Chosen
     least_evidence: float = 10.0  # for a warning: "very strong" (Kass and Raftery 1995, "Bayes factors"); -2 at most
     # on sound scenes, and 19 to 480 on exchanged ones

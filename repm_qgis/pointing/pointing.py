@@ -200,7 +200,8 @@ def with_base(views: Sequence[View], tracks: Sequence[Track], altitude: float, l
 
 
 def _require_small_trends(adjusted: Adjustment, parameters: PointingParameters) -> None:
-    """Refuse RPCs that only corrections of many px over an image bring together: the heights would follow them."""
+    """Refuse RPCs that agree only after corrections that change by many px over an image: the heights would follow
+    these."""
     name, trend = max(adjusted.trends_px.items(), key=lambda each: each[1])
     if trend > parameters.most_trend_px:
         raise RpcInvalidError(

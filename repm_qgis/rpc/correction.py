@@ -3,7 +3,7 @@
 A shift of the image goes into the offsets, and nothing is lost. An affine map mixes column and row, which are quotients
 with denominators of their own: it goes into the numerators, by linear least squares over a virtual grid, and is exact
 where both denominators are equal. Denominators and normalisers stay the vendor's, so that the model behaves beyond the
-image as it did. To fit all eighty coefficients gains nothing that counts at corrections of usual size
+image as it did. Fitting all eighty coefficients brings no useful gain for corrections of the usual size
 (docs/algorithms/exportrpc.md has the figures).
 
 References: Fraser and Hanley, "Bias compensation in rational functions for Ikonos satellite imagery", Photogrammetric
@@ -36,7 +36,7 @@ Waves = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class CorrectedRpc:
-    """An RPC that has a pointing correction in it, how that was done, and its distance from the pointed model, px.
+    """An RPC that includes a pointing correction, how it was included, and its distance from the pointed model, px.
 
     ``max_px`` and ``rms_px`` are measured over the image and its heights, at points that no fit has used.
     """
@@ -57,17 +57,17 @@ def corrected(
 ) -> CorrectedRpc:
     """The RPC whose pixels are ``pointing``, a (2, 3) affine map, of the pixels of ``rpc``.
 
-    ``waves`` take pixels of a steady image to those of one with jitter: what cubic polynomials can follow of them goes
-    into the numerators, and the rest is in the distance from the pointed model. ``size`` is the image's in px. The
-    heights are the RPC's own and ``altitudes``, m above the ellipsoid.
+    ``waves`` take pixels of a steady image to those of one with jitter: the part of them that cubic polynomials can
+    follow goes into the numerators, and the rest is in the distance from the pointed model. ``size`` is the image's in
+    px. The heights are the RPC's own and ``altitudes``, m above the ellipsoid.
 
     Raises RpcInvalidError where the RPC does not see the image's pixels on the ground.
     """
     low, high = rpc.height_range
     heights = min(low, altitudes[0]), max(high, altitudes[1])
-    ground = _seen(rpc, *virtual_grid(size, heights, parameters.check_nodes, parameters.check_inset))
+    ground = _on_ground(rpc, *virtual_grid(size, heights, parameters.check_nodes, parameters.check_inset))
     if len(ground) < _TERMS:
-        raise RpcInvalidError("it sees almost none of the image's pixels on the ground.")
+        raise RpcInvalidError("it gives almost none of the image's pixels a ground point.")
     linear, shift = pointing[:, :2], pointing[:, 2]
     if waves is not None:
         lines = replace(parameters, nodes=(parameters.nodes[0], parameters.wave_lines, parameters.nodes[2]))
@@ -101,18 +101,18 @@ def _pointed(rpc: Rpc, pointing: FloatArray, ground: FloatArray, waves: Optional
 def _fit_ground(rpc: Rpc, size: Size, heights: Altitudes, parameters: CorrectionParameters) -> FloatArray:
     """Ground points (N, 3) over the image and over the RPC's own domain.
 
-    An image that is cut out of a product is a small part of the domain: coefficients that fit it alone run away beyond
-    it.
+    An image that is cut out of a product is a small part of the domain: coefficients fitted to it alone diverge outside
+    of it.
     """
     image = virtual_grid(size, heights, parameters.nodes, -parameters.outset)
     half = abs(rpc.col_scale), abs(rpc.row_scale)
     whole = (max(1, round(2 * half[0])), max(1, round(2 * half[1])))
     pixels, height = virtual_grid(whole, heights, parameters.nodes)
     domain = pixels + [rpc.col_off - half[0], rpc.row_off - half[1]], height
-    return np.concatenate([_seen(rpc, *image), _seen(rpc, *domain)])
+    return np.concatenate([_on_ground(rpc, *image), _on_ground(rpc, *domain)])
 
 
-def _seen(rpc: Rpc, pixels: FloatArray, heights: FloatArray) -> FloatArray:
+def _on_ground(rpc: Rpc, pixels: FloatArray, heights: FloatArray) -> FloatArray:
     """The (N, 3) ground points of those pixels that have one."""
     ground = rpc.localise(pixels, heights)
     known: FloatArray = ground[np.isfinite(ground).all(axis=1)]

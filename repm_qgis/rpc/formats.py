@@ -152,7 +152,7 @@ def checked(rpc: Rpc) -> Rpc:
         reach = np.abs(ground[:, :2] - [rpc.lon_off, rpc.lat_off]) / np.abs([rpc.lon_scale, rpc.lat_scale])
         areas = _signed_areas(ground)
     if not (error < _ROUND_TRIP_PX and reach.max() < _REACH and ((areas > 0).all() or (areas < 0).all())):
-        reason = "the pixels around its centre are not found on the ground around its centre"
+        reason = "pixels around its centre have no ground points around its centre"
         raise RpcInvalidError(f"its numbers are not a sensor model: {reason}.")
     return rpc
 

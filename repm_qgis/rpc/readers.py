@@ -264,8 +264,9 @@ def _of_window(dataset: gdal.Dataset, rpc: Rpc) -> Rpc:
     """A file's RPC, shifted and scaled to the pixels of an image whose geotransform counts pixels of the file's image.
 
     Such a geotransform has no CRS, steps within ``_STEPS``, and an origin inside the RPC's domain. The domain may start
-    where the crop does: then the RPC was shifted with it; or where that is in the crop's pixels: then it was scaled,
-    too. Raises RpcInvalidError for a turned window, and for a resampled one that reaches out of the domain.
+    at the crop's origin: then the RPC was shifted with the crop already. It may also start at this origin counted in
+    the crop's own pixels: then it was scaled too. Raises RpcInvalidError for a rotated window, and for a resampled one
+    that extends beyond the domain.
     """
     transform = dataset.GetGeoTransform(can_return_null=True)
     if not transform or dataset.GetProjection():
@@ -276,14 +277,15 @@ def _of_window(dataset: gdal.Dataset, rpc: Rpc) -> Rpc:
     if (step < _STEPS[0]).any() or (step > _STEPS[1]).any() or (origin < 0).any():
         return rpc
     size = np.array([dataset.RasterXSize, dataset.RasterYSize])
-    done = [  # to the RPC already: where its domain starts then, and what it becomes here
+    done = [  # what the RPC may contain already: where its domain starts then, and the RPC that results
         (0 * origin, rpc.shifted(*origin).resampled(*step)),
         (-origin, rpc.resampled(*step)),
         (-origin / step, rpc),
     ]
 
     def unlike(each: Tuple[FloatArray, Rpc]) -> Tuple[float, float]:
-        # From the origin (0, 0) on all start alike: then that one is right whose domain ends most nearly as the image.
+        # For a crop at the origin (0, 0) all domains start alike: the right RPC is the one whose domain ends closest to
+        # the image's end.
         last = np.maximum(_domain(each[1])[1] + 1, 1)
         return float(np.abs(start - each[0]).sum()), float(np.abs(np.log(last / size)).sum())
 
@@ -292,8 +294,8 @@ def _of_window(dataset: gdal.Dataset, rpc: Rpc) -> Rpc:
         return rpc
     if row_right or col_down:
         raise RpcInvalidError(
-            f"the image's geotransform {tuple(transform)} counts pixels along turned axes: cut the crop again without "
-            "turning it, or remove the geotransform if the RPC is that of these pixels."
+            f"the image's geotransform {tuple(transform)} counts pixels along rotated axes: cut the crop again without "
+            "rotating it, or remove the geotransform if the RPC is that of these pixels."
         )
     if (step != 1).any() and (size > (1 + _BEYOND) * (_domain(placed)[1] + 1)).any():
         raise RpcInvalidError(

@@ -126,7 +126,7 @@ def gather(task: CloudTask) -> TilePoints:
     surface = task.dsm.heights(wide) if records else np.empty(part.shape)
     with writing(task.path), open(task.path, "wb") as stream:
         for record in records:
-            heights = height_source(task.scene, task.bounds, record, task.dsm.layout.crs, task.matching).within()
+            heights = height_source(task.scene, task.bounds, record, task.dsm.layout.crs, task.matching).read()
             points = cloud_points(
                 heights,
                 record.metres_per_px,

@@ -25,7 +25,7 @@ from .lattice import Lattice
 from .obj import write_obj
 from .painting import Colours, opened_paint
 from .parameters import SOLIDS, SolidsParameters
-from .simplification import within
+from .simplification import reduced_lattice
 
 _COLOURED = np.dtype([("place", "<f8", 3), ("colour", "u1", 3)])
 _FACE = np.dtype([("corners", "u1"), ("vertices", "<i4", 3)])
@@ -73,7 +73,7 @@ def write_mesh(
     progress = progress or Silent()
     with ExitStack() as stack:
         dataset = stack.enter_context(opened(dsm))
-        lattice, vertices, cells = within(dataset, max_vertices, parameters, progress)
+        lattice, vertices, cells = reduced_lattice(dataset, max_vertices, parameters, progress)
         if not vertices:
             raise EmptyResultError(f"The DSM '{dsm}' has no heights: there is nothing to write into '{path}'.")
         faces = lattice.faces()

@@ -34,7 +34,7 @@ Places = NDArray[np.int32]
 _GATHERED = 1 << 18  # cells below triangles that are looked at together; bounds the memory
 
 
-def within(
+def reduced_lattice(
     dataset: gdal.Dataset, max_vertices: int, parameters: SolidsParameters, progress: Progress
 ) -> Tuple[Lattice, int, int]:
     """The cells of a DSM that give a near mesh of at most ``max_vertices`` (0: no limit), their number and all cells'.

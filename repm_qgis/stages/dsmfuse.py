@@ -66,7 +66,7 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     require_space("fusion", fusion_needs(scene, _matched(scene), options, layout.grid.cell, bands), progress)
     whole = 1.0 / (1.0 + 0.7 * len(pairs))  # of the progress, for what all pairs make together
     with kept_until_done(scene.folder("fusion"), "dsmfuse", progress) as kept, _draped(options, kept) as draped:
-        fusion = replace(Fusion.within(kept, draped, parameters, scene, layout), spectra=spectra)
+        fusion = replace(Fusion.in_folder(kept, draped, parameters, scene, layout), spectra=spectra)
         drop_others(kept, fusion.folder)
         clouds = clouds_of(options, str(fusion.folder))
         painted = bool(plan or draped.ortho)
@@ -308,7 +308,7 @@ def _alone(fusion: Fusion, pair: Tuple[str, str]) -> Fusion:
     place = ensure_folder(str(fusion.options.view_heights)) / re.sub(r"[^\w.-]", "_", "_".join(pair))
     made = {**not_requested("dsmfuse"), "output": f"{place}.tif", "confidence": f"{place}_confidence.tif"}
     options = replace(fusion.options, fill="none", water="keep", **made)
-    return Fusion.within(fusion.folder.parent, options, fusion.parameters, scene, layout)
+    return Fusion.in_folder(fusion.folder.parent, options, fusion.parameters, scene, layout)
 
 
 def _round_cell(cell: float) -> float:

@@ -49,10 +49,10 @@ class Fusion:
     spectra: Optional[WaterIndex] = None
 
     @classmethod
-    def within(
+    def in_folder(
         cls, kept: Path, options: DsmFuseOptions, parameters: EngineParameters, scene: Scene, layout: DsmLayout
     ) -> Fusion:
-        """With a folder of its own in ``kept``: another one wherever a fused tile would have other cells."""
+        """With its own folder in ``kept``: whatever changes the cells of a fused tile changes the folder."""
         records = [record.to_mapping() for tile in scene.tiles for record in tile.heights]
         chosen = options.method, options.fill, options.outlier_radius
         cells = layout.crs, layout.grid.bounds, layout.grid.cell, layout.windows

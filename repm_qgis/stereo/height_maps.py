@@ -66,7 +66,7 @@ class HeightSource:
     shift: Optional[GroundShift] = None
     waves: Optional[WaveChange] = None
 
-    def within(self, bounds: Optional[Bounds] = None, step: int = 1) -> HeightMap:
+    def read(self, bounds: Optional[Bounds] = None, step: int = 1) -> HeightMap:
         """The rectangle of pixels that contains all points in ``bounds``; None takes all. Of them each ``step``-th in
         columns and rows.
 

@@ -20,7 +20,7 @@ from .rectification import RectifiedPair, rectify
 def rectified_pair(
     scene: Scene, first: View, second: View, bounds: Bounds, altitudes: Altitudes, parameters: StereoParameters = STEREO
 ) -> Optional[RectifiedPair]:
-    """Fit, refine and rectify two views over a ground rectangle (in the scene's CRS); None where not both see it.
+    """Fit, refine and rectify two views over a ground rectangle (in the scene's CRS); None unless both see it.
 
     Cameras are fitted again: relative pointing and a narrower altitude range make them better than those of the
     first fit.

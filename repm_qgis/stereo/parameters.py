@@ -16,7 +16,7 @@ class StereoParameters(Parameters):
     node_step_px: int = 32  # distance of the tables' nodes; each height map's record has their error, below 0.01 m
     levels: int = 5  # altitudes from which the tables' parabolas are fitted; the same record
     ground_points: int = 9  # along a side of the ground rectangle that a pair is rectified for; chosen
-    most_shear: float = 0.3  # of a frame's columns along its rows, so that it holds little beside its tile; chosen
+    most_shear: float = 0.3  # of a frame's columns along its rows, so that it contains little outside its tile; chosen
 
 
 STEREO = StereoParameters()

@@ -1,4 +1,4 @@
-"""What waves of the attitude that were found after the matching change in a height map.
+"""How a height map changes by waves of the attitude that were found after the matching.
 
 A registration may find waves along the parallax, which only move heights. The map stays as it was matched: each of its
 points keeps its pixels in both images, and the lines of sight through them have moved by the change of the waves in the

@@ -105,7 +105,7 @@ class AlignmentParameters(Parameters):
     kept_px: int = 1 << 25  # of resampled pairs that are kept for further ties: bounds memory
     gap: float = 0.1  # of that side: nothing is aligned between ties that are farther apart
     farthest_px: float = 1.5  # SIFT's error is never so large: what moves farther has found something else
-    return_px: float = 0.1  # distance of a position after the way to the second image and back to the first
+    return_px: float = 0.1  # between a position and itself, aligned to the second image and back to the first
     most_alike: float = 0.7  # share of a patch's ties that stay: at edges of roofs windows hold two parallaxes
     enough: int = 30  # with fewer ties in a patch, that share is not taken
     even_px: float = 5.0  # standard deviation of the Gaussian that evens out intensity and contrast

@@ -1,9 +1,10 @@
 """Subpixel tie points: each one is aligned, at full resolution, with its neighbourhood in one other view.
 
 SIFT on reduced images places a keypoint to about half a pixel. Lucas and Kanade's registration (1981; OpenCV's
-implementation) works on rectified neighbourhoods, which differ by the parallax only. Dropped are positions from which
-the way back does not return, and those whose neighbourhoods differ most: a window across the edge of a roof holds two
-parallaxes, and its error always has the same direction.
+implementation) works on rectified neighbourhoods, which differ by the parallax only. Two kinds of positions are
+dropped: those from which the alignment back to the first image does not return to the start, and those whose
+neighbourhoods differ most: a window across the edge of a roof holds two parallaxes, and its error always has the same
+direction.
 """
 
 from __future__ import annotations
@@ -254,7 +255,7 @@ def _evened(
     """The view as (rows, columns), ``ratio`` times as coarse, with locally even intensity and contrast.
 
     Registration assumes that a ground point has the same intensity in both views. Under another sun or in another
-    season it has not, and ties would be dropped or displaced.
+    season this is not true, and ties would be dropped or displaced.
     """
     with opened_masked(view.image, view.mask) as dataset:
         pixels = known_or_zero(stretch.apply(warp_coarsened(dataset, view.band, to_original, size, "cubic", ratio)))

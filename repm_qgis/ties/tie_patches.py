@@ -104,7 +104,7 @@ class BlockPatches:
         return list(self._chosen)
 
     def more(self, pairs: Sequence[Pair]) -> List[Bounds]:
-        """As many patches again for pairs with too few ties; those that there is room for."""
+        """As many patches again for pairs with too few ties, as far as there is room."""
         before = len(self._chosen)
         for pair in pairs:
             self._add(pair, len(self._on(pair)) + self._parameters.frame_patches)

@@ -261,7 +261,7 @@ def test_a_confidence_offers_its_counts_and_its_sources(raster, feedback):
     assert found[4] == [
         *sources,
         "Ground in a shadow",
-        "From the cells beside it",
+        "From neighbouring cells",
         "Edited by hand",
         "Level of the water",
     ]

@@ -114,7 +114,7 @@ def test_every_view_gets_a_height_map_of_the_surface(urban, matched):
     task, records = matched
     assert [record.pair[0] for record in records] == [view.name for view in urban.views]
     for record in records:
-        heights = height_source(task.scene, task.bounds, record, task.scene.crs).within()
+        heights = height_source(task.scene, task.bounds, record, task.scene.crs).read()
         assert heights.height.shape == record.size[::-1]
         assert record.valid == int(np.isfinite(heights.height).sum()) > 30000
         assert not heights.filled.any() and record.filled == 0
@@ -134,8 +134,8 @@ def test_heights_lie_where_another_crs_puts_them(matched):
     from repm_qgis.geometry.frames import geodetic_from_projected
 
     task, records = matched
-    here = height_source(task.scene, task.bounds, records[0], task.scene.crs).within()
-    there = height_source(task.scene, task.bounds, records[0], "EPSG:3857").within()
+    here = height_source(task.scene, task.bounds, records[0], task.scene.crs).read()
+    there = height_source(task.scene, task.bounds, records[0], "EPSG:3857").read()
     some = (slice(None, None, 40), slice(None, None, 40))
     a = geodetic_from_projected(task.scene.crs, np.stack([here.x[some], here.y[some]], axis=-1))
     b = geodetic_from_projected("EPSG:3857", np.stack([there.x[some], there.y[some]], axis=-1))
@@ -174,7 +174,7 @@ def test_a_small_gpu_gets_the_tile_in_parts(urban, matched, tmp_path):
     grid = CellGrid.covering(task.bounds, 1.0)
 
     def raster(record):
-        heights = height_source(task.scene, task.bounds, record, task.scene.crs).within()
+        heights = height_source(task.scene, task.bounds, record, task.scene.crs).read()
         return grid_points(grid, heights.x, heights.y, height=heights.height, score=heights.score)[0]
 
     first = urban.views[0].name
@@ -201,7 +201,7 @@ def test_colmap_s_fusion_decides_where_it_is_asked_to(urban, matched, tmp_path):
         assert 0.5 * other.valid < record.valid < other.valid
         errors = []
         for one in (record, other):
-            heights = height_source(task.scene, task.bounds, one, task.scene.crs).within()
+            heights = height_source(task.scene, task.bounds, one, task.scene.crs).read()
             error = np.abs(heights.height - surface_at(urban, heights.x, heights.y))
             errors.append((error > 5).sum() / np.isfinite(error).sum())
         assert errors[0] <= errors[1]
@@ -490,7 +490,7 @@ def test_a_height_map_of_another_scene_is_refused(matched, tmp_path):
         {"file": str(tmp_path / "none.tif")},
     ):
         with pytest.raises(SceneError, match="again"):
-            height_source(task.scene, task.bounds, replace(records[0], **change), task.scene.crs).within()
+            height_source(task.scene, task.bounds, replace(records[0], **change), task.scene.crs).read()
 
 
 def test_auto_is_sgm_where_no_device_answers(monkeypatch):

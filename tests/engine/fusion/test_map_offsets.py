@@ -156,7 +156,7 @@ def test_offsets_move_points_along_their_lines_of_sight(urban_run):
     tile = scene.tiles[0]
     record = replace(tile.heights[0], offsets=((1.0, 2.0, 3.0), (3.0, 4.0, 5.0)))
     plain, moved = (
-        height_source(scene, tile.bounds, each, scene.crs).within() for each in (replace(record, offsets=()), record)
+        height_source(scene, tile.bounds, each, scene.crs).read() for each in (replace(record, offsets=()), record)
     )
     up = moved.height - plain.height
     rows, columns = up.shape

@@ -51,7 +51,7 @@ def points_of(scene, pair):
     """(N, 3) x, y, height of every fourth pixel of a pair's map, where it has one."""
     tile = scene.tiles[0]
     record = next(each for each in tile.heights if each.pair == pair)
-    found = height_source(scene, tile.bounds, record, scene.crs).within(None, 4)
+    found = height_source(scene, tile.bounds, record, scene.crs).read(None, 4)
     return np.stack([found.x, found.y, found.height], axis=-1)
 
 

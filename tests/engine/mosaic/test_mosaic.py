@@ -206,7 +206,7 @@ def test_confidences_give_cells_to_the_better_dsm(four, tmp_path, told):
     with raster.opened(four[1]) as dataset:
         place, crs = dataset.GetGeoTransform(), dataset.GetProjection()
     bands = [np.full((SIDE, SIDE), value, np.float32) for value in (0.01, 0.01, 0.01, 0.01, 0.6)]
-    names = ["a", "b", "c", "d", "expected error (m): two thirds are within"]
+    names = ["a", "b", "c", "d", "expected error (m): two of three errors are smaller"]
     bad = raster.write(str(tmp_path / "bad.tif"), bands, place, crs, descriptions=names)
     shares = {}
     for label, confidences in (("equal", ()), ("given", (good, bad, "", ""))):

@@ -125,7 +125,7 @@ def test_what_the_user_gives_comes_first(urban, told):
     )
     assert found[0] == 100.0 and source == "given and images" and found[1] >= urban.surface.max()
     with pytest.raises(
-        OptionError, match="ALTITUDE_MIN is 5000.0: it leaves no range: the ground lies between [12]?[0-9]{2} "
+        OptionError, match="ALTITUDE_MIN is 5000.0: it leaves no altitude range: the ground lies between [12]?[0-9]{2} "
     ):
         altitude_range(
             urban.views, urban.crs, urban.bounds, search=search, given=(5000.0, None), dem=None, progress=told()

@@ -67,7 +67,7 @@ def test_the_stated_deviations_hold_for_errors_as_promised(urban, count):
 
 
 def test_an_rpc_that_is_grossly_wrong_makes_the_height_as_uncertain_as_it_is(urban):
-    """200 px, eighteen times what a promise lets expect of a pair: where the disagreement tells it, three stated
+    """200 px, eighteen times what promised errors cause in a pair: where the disagreement tells it, three stated
     deviations hold the error, which has nothing of the promise any more."""
     views = [replace(view, sensor="Pleiades 1A") for view in urban.views[:2]]
     (tracks, ground), ratios = ties_of(views), []

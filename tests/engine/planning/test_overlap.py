@@ -167,7 +167,7 @@ def test_a_copy_of_an_image_is_no_further_view(urban, tmp_path, how):
     images = [urban.images[0], str(again), urban.images[1]]
     found = views_of(EpmFitOptions(images=tuple(images), workspace=str(tmp_path / "w")), 64, said.append)
     assert [view.image for view in found] == [urban.images[0], urban.images[1]]
-    assert said == [f"The image again ('{again}') is a copy of img_01: it is left out, and counts once."]
+    assert said == [f"The image again ('{again}') is a copy of img_01: only img_01 is used."]
 
 
 @pytest.mark.parametrize(
@@ -187,7 +187,7 @@ def test_a_copy_with_a_rounded_rpc_counts_once(urban, tmp_path, column, words):
         return
     found = views_of(options, 64, said.append)
     assert [view.image for view in found] == [images[0], images[2]]
-    assert said == [f"The image again ('{again}') is a copy of img_01: it is left out, and counts once."]
+    assert said == [f"The image again ('{again}') is a copy of img_01: only img_01 is used."]
 
 
 def test_copies_of_one_image_alone_are_no_pair(urban, tmp_path):

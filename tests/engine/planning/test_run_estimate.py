@@ -77,8 +77,8 @@ def test_the_estimate_comes_before_the_work(runs):
     said = [json.loads(line).get("text", "") for line in runs["none"][1].splitlines() if line.startswith("{")]
     place = next(index for index, text in enumerate(said) if text.startswith("This run will take about"))
     assert re.fullmatch(
-        r"This run will take about \d+ (s|minutes) with 1 worker, and \d+\.\d GiB of memory; "
-        r"less where it is continued.",
+        r"This run will take about \d+ (s|minutes) with 1 worker and \d+\.\d GiB of memory\. "
+        r"A continued run takes less\.",
         said[place],
     )
     assert not any("Refinement" in text or "tie points" in text for text in said[:place])

@@ -161,7 +161,7 @@ def test_heights_of_the_scene_beyond_those_of_the_rpc_count(synthetic_rpc):
 
 
 def test_a_model_that_does_not_see_its_image_is_refused(synthetic_rpc):
-    with pytest.raises(RpcInvalidError, match="sees almost none of the image"):
+    with pytest.raises(RpcInvalidError, match="gives almost none of the image"):
         corrected(synthetic_rpc().shifted(5e7, 5e7), AFFINE, (500, 500), (100.0, 900.0))
 
 

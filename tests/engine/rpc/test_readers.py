@@ -383,8 +383,8 @@ def test_a_window_that_the_rpc_cannot_have_is_refused(tmp_path, write_image, syn
     rpc = synthetic_rpc(col_off=149.0, col_scale=150.0, row_off=149.0, row_scale=150.0)
     for transform, words in (
         ((200.0, 2.0, 0.0, 100.0, 0.0, 2.0), "puts its end at column 360, row 300 of an image .* for 300 x 300 px"),
-        ((100.0, 1.0, 0.1, 100.0, 0.0, 1.0), "along turned axes"),
-        ((100.0, 1.0, 0.0, 100.0, 0.1, 1.0), "along turned axes"),
+        ((100.0, 1.0, 0.1, 100.0, 0.0, 1.0), "along rotated axes"),
+        ((100.0, 1.0, 0.0, 100.0, 0.1, 1.0), "along rotated axes"),
     ):
         with pytest.raises(RpcInvalidError, match=words):
             read(placed(write_image(tmp_path / "a.tif"), transform, rpc))

@@ -288,7 +288,7 @@ def test_what_is_wrong_is_said_before_anything_is_written(urban, pointed, tmp_pa
         export(lost, tmp_path / "out", told)
     blind = (replace(scene.views[0], rpc=scene.views[0].rpc.shifted(5e7, 5e7)), *scene.views[1:])
     path = replace(scene, views=blind, tiles=()).save(str(tmp_path / "blind.json"))
-    with pytest.raises(Exception, match="cannot be exported: it sees almost none") as error:
+    with pytest.raises(Exception, match="cannot be exported: it gives almost none") as error:
         export(path, tmp_path / "out", told)
     assert scene.views[0].image in str(error.value)
     assert not (tmp_path / "out").exists()

@@ -89,7 +89,7 @@ def test_a_dem_tells_the_height(mountains, projected, tmp_path, told):
     planes = [view.plane for view in Scene.load(str(tmp_path / "scene.json")).views]
     # The RPCs are wrong by some pixels, as vendors' are, which is metres of height.
     assert all(abs(plane.height - HEIGHT) < 5.0 and plane.source == "DEM" for plane in planes)
-    assert any("it was found to be" in note and "lies on the DEM" in note for note in said.notes)
+    assert any("above the ellipsoid was found" in note and "agrees with the DEM" in note for note in said.notes)
     assert not any("ORTHO_READY_HEIGHT" in text for text in said.warnings)
 
 
@@ -100,7 +100,7 @@ def test_without_any_source_the_height_is_assumed_and_the_user_is_told(mountains
     middle = np.mean([view.rpc.height_off for view in scene.views])
     assert {view.plane.height for view in scene.views} == {middle}
     text = next(text for text in said.warnings if "is assumed" in text)
-    assert "All heights of the DSM are wrong by as much" in text and "ORTHO_READY_HEIGHT, or REFERENCE" in text
+    assert "is an error of all heights of the DSM" in text and "ORTHO_READY_HEIGHT, or REFERENCE" in text
     assert any("is assumed" in warning for warning in scene.record_of("epmfit").warnings)
     # The ground is searched where it would be seen, not only at the RPC's own heights.
     low, high = mountains.height_range

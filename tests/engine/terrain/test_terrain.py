@@ -144,7 +144,7 @@ def test_heights_that_were_interpolated_and_wide_errors_say_little(scene, tmp_pa
     error[mounds[1] > 0.05] = 3.0
     bands = ["height maps that agree", "spread between them (m)", "mean matching score"]
     bands += ["source: 0 matched, 1 background of an occlusion, 2 interpolated, 3 interpolated on the DEM, ..."]
-    bands += ["expected error (m): two thirds are within"]
+    bands += ["expected error (m): two of three errors are smaller"]
     confidence = write(tmp_path / "c.tif", [*[np.ones(SHAPE)] * 3, source, error], descriptions=bands)
     dsm = write(tmp_path / "dsm.tif", [ground + sum(mounds)])
     made(tmp_path, dsm=dsm, confidence=confidence)
