@@ -5,7 +5,7 @@ A backend turns the tiles of a scene into height maps. Two kinds are in use: a m
 views of a tile together (``colmap``). A third kind, a cost volume, is a pair matcher whose function aggregates the
 volume, selects the disparities, and calls the same steps as ``sgm`` after that. A new backend is a module with an
 object ``BACKEND``, a line in ``_MODULES`` here, and its name in ``options.BACKENDS``; ``_MEASURED`` has it once it was
-measured. This module imports nothing that QGIS may lack, so that the dialogs can ask it.
+measured. This module imports nothing that QGIS may lack, so that the dialogs can call it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Correction of depth edges: each pixel near a step in height is assigned again to the upper or the lower surface.
 
 Semi-global matching leaves steps a few pixels away from their place: roofs grow, their corners become round, alleys
-are bridged. But it knows both surfaces there, so the question is only to which of the two a pixel belongs, and both
-images answer it: the differences of intensity and gradient are compared for the two surfaces and averaged in a window
+are bridged. But both surfaces are known there, and only the surface that each pixel belongs to must be decided. Both
+images decide it: the differences of intensity and gradient are compared for the two surfaces and averaged in a window
 that ends at the image's edges (guided filter, He, Sun and Tang 2013; support weights are of Yoon and Kweon 2006).
 """
 

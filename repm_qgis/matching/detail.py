@@ -1,9 +1,9 @@
-"""Detail of a disparity map kept as far as it is more than noise, scale by scale.
+"""Removes from a disparity map, scale by scale, the detail that noise explains.
 
 The map is taken apart into bilateral means of growing width and the details between them (Fattal, Agrawala and
 Rusinkiewicz, Multiscale shape and detail enhancement, 2007). Each detail is multiplied by Wiener's gain from local
-statistics (Lee 1980): the share of its local mean square that the noise does not explain. What the noise of a detail
-is follows from what the images say of each disparity. So a plain roof in noisy images becomes plain, and natural relief
+statistics (Lee 1980): the share of its local mean square that the noise does not explain. The noise of a detail follows
+from the variance that the images give each disparity. So a plane roof in noisy images becomes plane, and natural relief
 in clear images stays.
 """
 
@@ -32,9 +32,9 @@ def without_noise(
 ) -> FloatImage:
     """(H, W) disparities without the detail that is no more than their noise; unknown ones (NaN) stay unknown.
 
-    ``variance`` (H, W), px^2, is what the images say of each disparity; ``noise_share`` of it is left. Its noise is
-    that of white noise after a Gaussian window whose variance is ``area_px``, px^2: less is left in wider means.
-    ``chosen`` stands in for what the parameters say of the detail that is kept.
+    ``variance`` (H, W), px^2, is the variance that the images give each disparity; ``noise_share`` of it is left. The
+    noise is correlated like white noise after a Gaussian window whose variance is ``area_px``, px^2: less of it is left
+    in wider means. ``chosen`` replaces the parameters' choice of the detail that is kept.
     """
     p = chosen or parameters.detail
     known = np.isfinite(disparity)
@@ -55,8 +55,9 @@ def without_noise(
 
 
 def tail(disparity: FloatImage, parameters: SubpixelParameters) -> float:
-    """How much more of the detail is in its few greatest values than noise or natural relief has there: its mean square
-    in robust variances. Planes that end at walls have little detail but at their edges; 1 where nothing is known."""
+    """How heavy the tails of the detail are: its mean square in robust variances, which is about 1 for noise and
+    natural relief. Planes that end at walls have detail at their edges only, and so a larger value; 1 where nothing is
+    known."""
     p = parameters.planes
     known = np.isfinite(disparity)
     scales = p.kept.scales_px[: p.tail_scale + 1]

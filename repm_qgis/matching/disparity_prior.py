@@ -26,7 +26,7 @@ from .disparity_map import PairMatcher
 from .parameters import MATCHING, MatchingParameters, PriorParameters
 
 STEP_PX = WARPING.node_step_px  # between the nodes of the resampled second image
-_WIDEST = 4.0  # sides of an image: a Gaussian as wide as that has nearly one value all over it
+_WIDEST = 4.0  # sides of an image: a Gaussian of this width is nearly constant over the image
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class ReducedPair(NamedTuple):
 
 @dataclass(frozen=True)
 class CoarseLevel:
-    """What a reduced pair says of the ground in a frame.
+    """The ground in a frame, as a reduced pair shows it.
 
     ``disparity`` (h, w) of the reduced pixels, in px of the frame, NaN where nothing was matched; ``search`` are the
     disparities among which it was searched, and ``shape`` (height, width) is that of the frame.
@@ -99,7 +99,7 @@ class CoarseLevel:
     shape: Tuple[int, int]
 
     def window(self, bounds: Bounds, geometry: PairGeometry, parameters: PriorParameters) -> Window:
-        """The part of the frame that may show a ground rectangle: what lies beside it need not be matched.
+        """The part of the frame that may show a ground rectangle: the rest need not be matched.
 
         A cell of the frame shows ground between the lines of sight at its least and its greatest disparity and those
         of its neighbours; where nothing was matched, those around it count.
@@ -191,10 +191,9 @@ def _ground(coarse: FloatImage, parameters: PriorParameters) -> Optional[FloatAr
 
 
 def fill_gaps(cells: FloatImage, sigma: float) -> FloatImage:
-    """Gaps filled from their surroundings: Gaussian means that become wider, the narrowest that knows something.
-
-    Where a few known cells lie far from the gaps, as in a strip that two frames share, no mean knows enough: these gaps
-    get the mean of all that is known.
+    """Gaps filled from their surroundings: Gaussian means of growing width, of which the narrowest with enough known
+    cells is used. Where the known cells are few and far from the gaps, as in a strip that two frames share, no width
+    has enough: these gaps get the mean of all known cells.
     """
     known = np.isfinite(cells)
     value, weight = np.where(known, cells, np.float32(0)), known.astype(np.float32)
@@ -224,7 +223,7 @@ def bounded_slope(ground: FloatArray, rise: float, fall: float) -> FloatArray:
     return (above + below) / 2
 
 
-def _at(ground: FloatArray, columns: FloatArray, rows: FloatArray, step_px: int) -> FloatArray:
+def _level_beyond(ground: FloatArray, columns: FloatArray, rows: FloatArray, step_px: int) -> FloatArray:
     """Bilinear ground at fine columns and rows of one shape; it continues level beyond its border."""
     u = np.clip((columns - (step_px - 1) / 2) / step_px, 0, ground.shape[1] - 1)
     v = np.clip((rows - (step_px - 1) / 2) / step_px, 0, ground.shape[0] - 1)
@@ -238,12 +237,13 @@ def _residual(coarse: FloatImage, ground: FloatArray, parameters: PriorParameter
     rows, columns = factor * i + (factor - 1) / 2, factor * j + (factor - 1) / 2
     residual = np.zeros_like(disparity)
     for _ in range(4):  # converges, because the slope of the ground is bounded
-        residual = disparity - _at(ground, columns - residual, rows, factor * parameters.cell_px)
+        residual = disparity - _level_beyond(ground, columns - residual, rows, factor * parameters.cell_px)
     return residual
 
 
 def _is_town(residual: FloatArray, disparity: Floats, parameters: PriorParameters) -> bool:
-    """Whether what a prior leaves of the disparities is as wide as they are, and made by walls: few values have it."""
+    """Whether the residual disparities on a prior span as wide a range as the disparities themselves because of walls:
+    then few values make this range."""
     left, whole = (float(np.ptp(_tails(values, parameters))) for values in (residual, disparity))
     return left > parameters.most_rough * whole and left > parameters.walls * nmad(residual)
 
@@ -273,7 +273,7 @@ def _nodes(ground: FloatArray, window: Window, ends: Tuple[int, int], step_px: i
     rows = np.arange(0, height + STEP_PX, STEP_PX, dtype=np.float64) + top
     columns = np.arange(0, width + ends[1] - ends[0] + 1 + STEP_PX, STEP_PX, dtype=np.float64) - ends[1] + left
     columns, rows = np.meshgrid(columns, rows)
-    return _at(ground, columns, rows, step_px)
+    return _level_beyond(ground, columns, rows, step_px)
 
 
 def sampled_on(nodes: FloatArray) -> PixelMap:

@@ -1,4 +1,4 @@
-"""Occlusion filling: what one image hides from the other takes the disparity of the background.
+"""Occlusion filling: pixels that one of the images hides take the disparity of the background.
 
 The sign of a step in disparity says which of the two images hides something: from left to right, disparities (first
 column minus second) rise over what the second image hides, and fall where the first hides the ground itself.
@@ -24,9 +24,9 @@ def fill_occlusions(
     """Gaps that a step in height explains, filled with the lower surface beside them.
 
     Along a row, a step hides about as many pixels of the ground behind it as the disparity rises; gaps that are much
-    longer are no occlusions and stay: they lie in shadows, say. Matching also leaves narrow gaps where edges run along
-    the rows. Gaps take the lower of the surfaces at their two ends in the row. Between two roofs that is still a roof,
-    so they take the second lowest of all four ends (left, right, up, down) if that is lower.
+    longer are no occlusions, but shadows for example, and stay empty. Matching also leaves narrow gaps where edges run
+    along the rows. Gaps take the lower of the surfaces at their two ends in the row. Between two roofs that is still a
+    roof, so they take the second lowest of all four ends (left, right, up, down) if that is lower.
 
     Parameters
     ----------
@@ -35,8 +35,8 @@ def fill_occlusions(
         end and the foot of the vertical below it. That is no ground, and stays empty.
     unchecked : the disparities of the first image before the consistency check. Where the disparity falls along the
         row, the first image hides the ground, the two surfaces meet in it and the second shows both: a gap there is a
-        failure of the check, and each pixel takes the end that its unchecked disparity is nearer to. In a long gap it
-        must be that surface's.
+        failure of the check, and each pixel takes the surface whose disparity is nearer to its own unchecked one. In a
+        long gap the unchecked disparity must be that of the surface.
     """
     sign, known = np.float32(height_sign), np.isfinite(disparity)
     gaps = np.nonzero(~known)
@@ -78,7 +78,7 @@ def _around_gaps(
     values = []
     for end in (np.maximum(before, 0), np.minimum(after, size - 1)):
         at = (gaps[0], end) if axis else (end, gaps[1])
-        values.append(surface[at])  # NaN where the end is none, because the pixel there is unknown
+        values.append(surface[at])  # NaN where the pixel at the end of the gap is unknown
     first, last = (np.where(ok, end, np.nan) for ok, end in ((before >= 0, before), (after < size, after)))
     between = np.where((before >= 0) & (after < size), after - before - 1, np.inf)
     return values[0], values[1], first, last, between

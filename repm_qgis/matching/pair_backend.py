@@ -231,7 +231,7 @@ def match_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> D
     def wider(missing: Mask) -> DisparityMap:
         return wide_match(seen.reduced(), sign, match, parameters, missing)
 
-    # Clouds are told by full disparities: a prior that lies on a cloud would hide how high the cloud is.
+    # Clouds are detected in full disparities: a prior that lies on a cloud would hide the height of the cloud.
     kept = mask_unreliable(
         matched,
         seen.first,

@@ -26,7 +26,7 @@ class SgmParameters(Parameters):
     paths: int = 3  # directions of aggregation, 3, 5 or 8: 3 are as good as 8 in a quarter of the time; matching table
     prefilter_cap: int = 31  # of OpenCV's gradients, in its intensities of 0..255; chosen
     left_right_px: float = 1.0  # by which the disparities of the two directions may differ; matching table
-    speckle_px: int = 80  # connected components of so many pixels or fewer go; matching table
+    speckle_px: int = 80  # connected components of so many pixels or fewer are removed; matching table
     speckle_step_px: float = 1.0  # of disparity between neighbours of one component; chosen
     tower_px: int = 12  # the same for components that match well: towers and chimneys; matching table
     tower_score: float = 0.8  # correlation of such a component's pixels; chosen
@@ -65,11 +65,11 @@ class OcclusionParameters(Parameters):
 
 @dataclass(frozen=True)
 class DetailParameters(Parameters):
-    """What of the detail of disparities is kept; see ``matching/detail.py``."""
+    """How much of the detail of disparities is kept; see ``matching/detail.py``."""
 
     scales_px: Tuple[float, ...] = (1.0, 2.0, 4.0, 8.0)  # of the means that detail is taken apart by; matching table
     noise_share: float = 0.5  # of the variance of the last step, which the filters before it leave; matching table
-    power: int = 1  # of the noise's share of the detail that is taken away; chosen: Wiener's gain
+    power: int = 1  # of the noise's share of the detail that is removed; chosen: Wiener's gain
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class SubpixelParameters(Parameters):
     prior_px: float = 0.27  # standard deviation that semi-global matching leaves in such a window; subpixel table
     least_noise: float = 1e-6  # variance of the intensity: below the noise of a sensor of 12 bits
     median_px: int = 5  # side of the median; chosen
-    edge_px: float = 0.7  # the median moves nothing farther, because that would be an edge; matching table
+    edge_px: float = 0.7  # no median moves a disparity farther: that would be an edge; matching table
     smooth_sigma_px: float = 1.5  # of the bilateral filter (Tomasi and Manduchi 1998) in space; chosen
     alike_sigma_px: float = 0.5  # the same in disparity; chosen
     smooth_window_px: int = 7  # side of its window; chosen
@@ -113,7 +113,7 @@ class SubpixelParameters(Parameters):
     full_scale_px: float = 2.0  # wider means are made at half the resolution, for a fifth of the time; chosen
     alike_detail_px: float = 0.3  # as alike_sigma_px, of these means: no more, or curbs and ridges go; matching table
     power_window: float = 2.0  # of a detail's mean square, in the sigmas of its scale; chosen
-    variance_sigma_px: float = 4.0  # over which the variance of the disparities is averaged; chosen
+    variance_sigma_px: float = 4.0  # over which the variance of disparities is averaged; chosen
     correlation_sigma_px: float = 3.0  # wider differences of intensity are no noise; chosen
     correlation_lags: int = 3  # px over which the noise's correlation is summed up; chosen
 
@@ -158,12 +158,12 @@ class WideWindowParameters(Parameters):
     contrast_px: float = 4.0  # sigma of the window in which the contrast is made even
     contrast: float = 0.2  # standard deviation that intensities have then
     sigma_px: float = 2.0  # of the Gaussian window of the subpixel steps
-    rim_px: int = 1  # of what is missing that has no part in the correlation
+    rim_px: int = 1  # at the border of the missing area that are left out of the correlation
     smooth_px: float = 4.0  # sigma of the mean of the disparities
     score_window_px: int = 11  # side of a correlation window
     support_px: int = 15  # window over which correlations are averaged
     least_support: float = 0.65
-    narrowest_px: int = 9  # what is narrower goes: windows reach from a bank over the water
+    narrowest_px: int = 9  # narrower parts are removed: windows reach from a bank over the water
     score_loss: Tuple[float, float] = (0.2, 2.2)  # 1 less the score: at full support, and more for each 1 less
 
 

@@ -1,10 +1,11 @@
-"""Reliability mask: disparities that the images do not support (water, clouds) are removed; roofs and fields stay.
+"""Reliability mask: disparities without support in the images (over water) and those of clouds are removed; roofs and
+fields stay.
 
-A matcher gives a disparity everywhere, and where both images show only noise, smoothness alone has made it. Three
-questions are asked about each disparity:
+A matcher gives a disparity everywhere, and where both images show only noise, it results from the smoothness term
+alone. Each disparity is tested three times:
 
 - *Do the images agree?* The correlation of small windows, averaged over large ones, is about zero where noise was
-  matched with noise, whatever smoothness made of it; where nothing was matched at all, it counts as zero.
+  matched with noise, however smooth the disparities are; where nothing was matched at all, it counts as zero.
 - *Do neighbours agree?* A plain roof correlates no better than water, but smoothness extends the height of its edges
   evenly across it; over water each place has another height. So disparities without support are removed only in large
   components that scatter, or in components that are larger than any roof.
@@ -39,7 +40,8 @@ def mask_unreliable(
     wider: Optional[Callable[[Mask], DisparityMap]] = None,
     full_disparity: Optional[Callable[[FloatImage], FloatImage]] = None,
 ) -> DisparityMap:
-    """The disparity map without what the images do not support, and without clouds: NaN there, and not filled either.
+    """The disparity map without clouds and without disparities that the images do not support: NaN there, and not
+    filled.
 
     Parameters
     ----------
@@ -94,7 +96,8 @@ def _replaced(matched: DisparityMap, other: DisparityMap, where: Mask) -> Dispar
 
 
 def _next_to_removed(matches: Mask, removed: Mask) -> Mask:
-    """Pixels whose next match to the left or right in the row was removed: a fill between them has lost its reason."""
+    """Pixels whose next match to the left or right in the row was removed: a fill between them is no longer
+    justified."""
     width = matches.shape[1]
     columns, rows = np.arange(width, dtype=np.int32)[None, :], np.arange(matches.shape[0])[:, None]
     before = np.maximum.accumulate(np.where(matches, columns, 0), axis=1)

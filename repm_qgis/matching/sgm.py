@@ -54,7 +54,7 @@ def match(
     disparity = speckle_filter(disparity, first, second, low, high, sgm)
     disparity = subpixel_disparity(disparity, first, second, high, parameters.subpixel)
     score = _score(first, second, disparity, high, sgm)
-    # Where the second image has no data, smoothness alone has made a disparity.
+    # Where the second image has no data, a disparity results from the smoothness term alone.
     disparity[~np.isfinite(score)] = np.nan
     dense = fill_occlusions(disparity, height_sign, relief_displacement, left, parameters.occlusions)
     dense[~np.isfinite(first)] = np.nan
@@ -67,7 +67,7 @@ BACKEND = PairBackend("sgm", match)
 
 
 def _without_rim(image: FloatImage, rim_px: int) -> FloatImage:
-    """The image without the pixels whose window contains pixels without data: their costs mean nothing."""
+    """The image without the pixels whose window contains pixels without data: their costs are meaningless."""
     missing = (~np.isfinite(image)).astype(np.uint8)
     return np.where(cv2.dilate(missing, np.ones((rim_px, rim_px), np.uint8)) > 0, np.float32(np.nan), image)
 

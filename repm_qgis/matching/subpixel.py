@@ -25,8 +25,8 @@ def subpixel_disparity(
 ) -> FloatImage:
     """(H, W) disparities to a fraction of a pixel, of images as a :class:`.disparity_map.PairMatcher` gets them.
 
-    Smoothing alone would also level real relief within the window; the next step on the intensities restores what the
-    images show (half-quadratic splitting, Geman and Yang 1995). At the end, detail that is no more than noise goes.
+    Smoothing alone would also flatten real relief within the window; the next step on the intensities restores what the
+    images show (half-quadratic splitting, Geman and Yang 1995). At the end, detail that noise explains is removed.
     Unknown disparities stay unknown and have no weight.
     """
     p = parameters
@@ -44,7 +44,7 @@ def subpixel_disparity(
 
 
 def _planes(disparity: FloatImage, step: _Step, parameters: SubpixelParameters) -> FloatImage:
-    """Disparities of a narrow pair: what can be no more than noise goes where walls show that there is a town."""
+    """Disparities of a narrow pair: detail that noise may explain is removed where walls show that there is a town."""
     p = parameters.planes
     if tail(disparity, parameters) <= p.least_tail:
         return without_noise(disparity, *step.noise(disparity), parameters)
@@ -65,8 +65,8 @@ class _Step:
     A step is as large as the window justifies. From n pixels with gradients g and noise of variance s^2, the disparity
     has the variance s^2 / (n g^2) (the bound of Cramer and Rao), and beforehand that of ``prior_px``, which the steps
     share. The weights of the two multiply the step by g^2 / (g^2 + s^2 / (n prior^2)). The noise is the difference of
-    intensity that remains in the window: so weak texture in a clean image counts as much as strong texture in a noisy
-    one, without a threshold of contrast. Without texture the step becomes zero.
+    intensity that remains in the window: so weak texture in a clean image has the same weight as strong texture in a
+    noisy one, without a threshold of contrast. Without texture the step becomes zero.
     """
 
     def __init__(
@@ -96,8 +96,8 @@ class _Step:
         """(H, W) variance of the disparities, px^2, and the variance of the Gaussian window that makes white noise
         like theirs, px^2.
 
-        Noise of neighbouring pixels that is alike (of a sensor's optics, of pansharpening, of compression) is as much
-        as that of fewer pixels: how alike it is, the differences of the images show. They are those before the last
+        Noise of neighbouring pixels that is alike (of a sensor's optics, of pansharpening, of compression) averages out
+        like that of fewer pixels: the differences of the images show how alike it is. They are those before the last
         step, which changes little of them.
         """
         p = self._parameters
@@ -122,7 +122,7 @@ class _Step:
 
 
 def _correlated_px(noise: FloatImage, known: Mask, parameters: SubpixelParameters) -> float:
-    """How many pixels have noise that tells as much as that of one: the sum of its correlations over columns times
+    """How many pixels have noise that counts as one independent value: the sum of its correlations over columns times
     that over rows, 1 for white noise. Differences beyond three standard deviations are no noise."""
     size = np.abs(noise[known])
     usable = known & (np.abs(noise) < 3.0 * NMAD_FACTOR * np.median(size)) if size.size else known

@@ -37,7 +37,7 @@ def wide_match(
     smooth = replace(parameters, subpixel=replace(parameters.subpixel, sigma_px=p.sigma_px))
     found = match(a, b, pair.disparities, height_sign, parameters=smooth)
     matched = np.isfinite(found.disparity) & ~found.filled
-    # Free to vary from pixel to pixel, a disparity finds likeness in any noise; ground of weak texture is smooth.
+    # Disparities that may vary from pixel to pixel correlate with any noise; ground of weak texture is smooth.
     disparity = gaussian_mean(matched, p.smooth_px)(np.nan_to_num(found.disparity))
     disparity[~matched] = np.nan
     # Without the pixels around: the contrast of a bank, which both images show, would support the water beside it.

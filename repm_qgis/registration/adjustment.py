@@ -1,9 +1,9 @@
 """The shifts of all scenes together: from references, ground control points, and where two scenes overlap.
 
 Each scene has one shift (and tilt) of the ground as unknowns. A reference observes that of one scene, ground control
-points say that it is zero (they have given the pointing its place already), and two overlapping surfaces observe the
-difference of two. All have their covariance as weight, so that what is known better counts for more. A direction that
-nobody tells stays as it is: the solution is that of the smallest shifts.
+points observe that it is zero (they are in the pointing already), and two overlapping surfaces observe the difference
+of two shifts. Each observation is weighted by its covariance. A direction that no observation determines stays as it
+is: of all solutions, that with the smallest shifts is taken.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ _UNKNOWNS = 5  # of a scene: east, north, up, and the tilt to the east and to th
 
 @dataclass(frozen=True)
 class Observation:
-    """What one source says: ``value`` (5,) is the shift of the scene with the number ``first``, less that of ``second``
-    where there is one; ``basis`` (5, k) are the unknowns it tells, ``covariance`` (k, k) of these. ``source`` is what
-    people know it by."""
+    """The observation of one source: ``value`` (5,) is the shift of the scene with the number ``first``, less that of
+    ``second`` where there is one; ``basis`` (5, k) are the unknowns it observes, ``covariance`` (k, k) of these.
+    ``source`` is its name in messages."""
 
     source: str
     first: int
@@ -95,7 +95,7 @@ def place_scenes(
     placed = []
     for number, (centre, prior) in enumerate(zip(centres, priors)):
         own = slice(_UNKNOWNS * number, _UNKNOWNS * number + _UNKNOWNS)
-        unknown = vectors[own][:, ~known] @ vectors[own][:, ~known].T  # of this scene's unknowns, what nobody tells
+        unknown = vectors[own][:, ~known] @ vectors[own][:, ~known].T  # not observed
         east, north, up, tilt_x, tilt_y = map(float, solution[own])
         ground = GroundShift((east, north, up), (tilt_x, tilt_y), centre)
         share, directions = np.linalg.eigh(unknown[:2, :2])
@@ -106,7 +106,7 @@ def place_scenes(
 
 
 def contradictions(observations: Sequence[Observation], parameters: RegistrationParameters = REGISTRATION) -> List[str]:
-    """Sentences about two sources that say of one scene what cannot both be true."""
+    """Sentences about two sources that contradict each other about one scene."""
     found = []
     alone = [each for each in observations if each.second < 0]
     for index, first in enumerate(alone):
@@ -114,19 +114,19 @@ def contradictions(observations: Sequence[Observation], parameters: Registration
             if first.first != second.first:
                 continue
             for axis, name in enumerate(("to the east", "to the north", "in height")):
-                if _tells(first, axis) and _tells(second, axis):
+                if _observes(first, axis) and _observes(second, axis):
                     apart = float(first.value[axis] - second.value[axis])
                     deviation = float(np.sqrt(_variance(first, axis) + _variance(second, axis)))
                     if abs(apart) > parameters.contradiction * deviation + parameters.least_contradiction_m:
                         found.append(
                             f"{first.source} and {second.source} contradict each other by {abs(apart):.2f} m {name}, "
-                            f"where {deviation:.2f} m are to be expected (one standard deviation): check the places, "
+                            f"where {deviation:.2f} m are expected (one standard deviation): check the places, "
                             "dates and vertical datums of both."
                         )
     return found
 
 
-def _tells(observation: Observation, axis: int) -> bool:
+def _observes(observation: Observation, axis: int) -> bool:
     return bool(np.linalg.norm(observation.basis[axis]) > 0.99)
 
 

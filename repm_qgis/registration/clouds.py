@@ -23,7 +23,7 @@ from .parameters import REGISTRATION, RegistrationParameters
 from .rasters import slopes_of
 
 _POINTS, _BYTES = 1_000_000, 256 << 20  # that are read at once, at most
-_MARGIN_M = 1.0  # that a cloud may lie beyond what it says
+_MARGIN_M = 1.0  # by which a cloud may extend beyond the bounds in its header
 _DAMAGED = (OSError, ValueError, ArithmeticError, RuntimeError, LookupError, EOFError, AssertionError, struct.error)
 _GROUND, _NOISE = 2, (7, 18)  # classes of LAS 1.4
 
@@ -38,9 +38,10 @@ def read_cloud(
 ) -> FoundHeights:
     """The heights of a cloud within bounds of the scene's projected CRS, as means over cells of ``least_m``, at least.
 
-    Points of the class ground (2) only, where there are any, else all but noise. The own surface shows roofs and trees
-    where ground does not: the robust weights of the solution leave these out. A mean lies at the mean place of its
-    points, which on a slope need not be the cell's middle. ``check`` is called between parts, and may raise to stop.
+    Points of the class ground (2) only, where there are any, else all but noise. The scene's surface shows roofs and
+    trees, which ground points do not: the robust weights of the solution exclude them. A mean lies at the mean place of
+    its points, which on a slope need not be the cell's middle. ``check`` is called between parts, and may raise to
+    stop.
 
     Raises ImageError for a file that cannot be read, or has no CRS; OverlapError where it has no
     points within the bounds; MissingPackageError without laspy.
@@ -78,9 +79,8 @@ class OpenedCloud:
     system: pyproj.CRS
 
     def common(self, crs: str, bounds: Bounds) -> Bounds:
-        """Bounds in a projected CRS, cut to what the cloud says it covers; raises OverlapError where nothing is left.
-
-        Cells need not be larger for what lies around it.
+        """Bounds in a projected CRS, cut to those in the cloud's header; raises OverlapError where nothing is left. So
+        an area without points does not make cells larger.
         """
         header = self.reader.header
         to_flat = pyproj.Transformer.from_crs(flat_crs(self.system), crs, always_xy=True)

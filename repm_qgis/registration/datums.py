@@ -14,15 +14,14 @@ from .solve import Shift
 from .surfaces import Reference
 
 _OPTION = "REFERENCE_DATUM"
-_GEOIDS = ("EGM2008", "EGM96")  # of Copernicus GLO-30 and of SRTM; where both may be it, the first is taken
+_GEOIDS = ("EGM2008", "EGM96")  # of Copernicus GLO-30 and of SRTM; where both are possible, the first is taken
 
 
 @dataclass(frozen=True)
 class DatumChoice:
-    """What the heights are taken to refer to, and the shift with that.
-
-    ``sentence`` tells people why, with numbers. ``certain`` says whether any other datum that may be it would change
-    the heights by less than the vendor's standard deviation.
+    """The vertical datum that is assumed for the heights, and the shift with it. ``sentence`` says why, with numbers.
+    ``certain``: every other datum that is possible would change the heights by less than the vendor's standard
+    deviation.
     """
 
     datum: HeightDatum
@@ -45,7 +44,7 @@ def likely_datum(
     surface has to move up or down by a few metres only. ``solved`` finds the shift to a reference; ``crs`` is that of
     its places.
 
-    The two geoids differ by decimetres to two metres, which no fit can tell: EGM2008 is taken.
+    The two geoids differ by decimetres to two metres, which no fit can distinguish: EGM2008 is taken.
 
     Raises OptionError, with the numbers, where the ellipsoid and a geoid both fit, or none, or where PROJ has no grid
     of a geoid; and what ``solved`` raises.
@@ -75,9 +74,9 @@ def likely_datum(
             raise OptionError(_OPTION, "auto", f"must be given, as {numbers}: both are within {limit:.1f} m")
         raise OptionError(_OPTION, "auto", f"must be given, as {numbers}: neither is within {limit:.1f} m")
     if abs(up) <= limit:
-        text = f"{numbers}: they are taken as heights above the ellipsoid; give REFERENCE_DATUM if that is wrong."
+        text = f"{numbers}: they are assumed to be above the ellipsoid; give REFERENCE_DATUM if that is wrong."
         return DatumChoice(ellipsoid, shift, text, certain=True)
-    said = [f"{numbers}: they are taken as {geoid} heights; give REFERENCE_DATUM if that is wrong."]
+    said = [f"{numbers}: they are assumed to be {geoid} heights; give REFERENCE_DATUM if that is wrong."]
     others = [each for each in geoids if each[0] != geoid]
     said += [f"With {name} instead, the scene's heights change by {other:+.1f} m." for name, other in others]
     near = all(abs(other - change) <= promised_up_m for _, other in others)
@@ -91,7 +90,7 @@ def _changes_of_heights(shift: Shift, crs: str) -> Tuple[List[Tuple[str, float]]
     """How much the own heights change with each geoid, m, and a sentence for each whose grid PROJ lacks.
 
     ``shift`` is that with the ellipsoid. Undulations are smooth: their mean, over the heights that have a weight, is
-    what they add to it.
+    added to it.
     """
     changes, missing = [], []
     used = shift.xy[shift.weight > 0]

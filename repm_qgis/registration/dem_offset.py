@@ -38,7 +38,7 @@ def dem_offset(
     reference = in_datum(found, crs, found.datum or HeightDatum.of("ellipsoid"))
     means = SupportMeans(grid, height, reference, parameters.covered)
     shift = solve_shift(means, reference, prior, check=check, parameters=parameters)
-    # Added to the surface it would lie on the DEM: the surface is as much above it as must be taken off.
+    # Added to the surface it would lie on the DEM: the surface lies above it by the amount that must be subtracted.
     up, deviation = -float(shift.moved[2]), float(shift.deviations[2])
     stated = stated_height_deviation(scene)
     most = None

@@ -13,17 +13,17 @@ from ..contracts.errors import InputTableError, OverlapError
 from ..geometry.vertical import HeightDatum, metres_per_unit
 from .parameters import REGISTRATION
 
-_HEIGHTS = (-12_000.0, 10_000.0)  # m; what lies beyond is a sign for "none", such as 3.4e38
+_HEIGHTS = (-12_000.0, 10_000.0)  # m; larger numbers mean "none", such as 3.4e38
 
 
 @dataclass(frozen=True)
 class FoundHeights:
-    """(N, 2) ``xy`` in the scene's projected CRS and (N,) ``height`` in metres above what the file has them above.
+    """(N, 2) ``xy`` in the scene's projected CRS and (N,) ``height`` in metres above the file's own datum.
 
-    ``datum`` is what the file itself says that this is, None where it does not say. ``name``, ``width_m``, ``disc``
-    and ``slopes`` are those of :class:`~repm_qgis.registration.surfaces.Reference`. Where the file does not say the
-    unit of its heights, they and the slopes are as it has them, and ``places_in`` names the unit of its places.
-    ``about`` is a sentence on what they are and which of them were taken, for the report.
+    ``datum`` is the datum that the file states, None where it states none. ``name``, ``width_m``, ``disc``
+    and ``slopes`` are those of :class:`~repm_qgis.registration.surfaces.Reference`. Where the file does not state the
+    unit of its heights, heights and slopes are the file's numbers, and ``places_in`` names the unit of its places.
+    ``about`` is a sentence for the report: what the heights are, and which of them were taken.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Within:
         more = 0.02 * float(np.ptp(x)), 0.02 * float(np.ptp(y))
         low, high = (x.min() - more[0], y.min() - more[1]), (x.max() + more[0], y.max() + more[1])
         self.source_bounds = Bounds(*map(float, (*low, *high)))
-        """Of the file's places, and a little wider."""
+        """In the file's CRS, and a little wider."""
 
     def near(self, x: FloatArray, y: FloatArray) -> Mask:
         """(...) whether places of the file may lie within the bounds: quick, before the rest of them is read."""
@@ -75,7 +75,7 @@ class Within:
 
 
 def no_heights(path: str) -> OverlapError:
-    """What is said of a file without heights over the scene."""
+    """The error of a file without heights over the scene."""
     return OverlapError(f"The reference '{path}' has no heights over the scene: choose one that has.")
 
 

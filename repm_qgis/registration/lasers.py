@@ -1,7 +1,7 @@
 """Heights that lasers in space have measured: ICESat-2's ATL03, ATL06 and ATL08, and GEDI's L2A, as HDF5 files.
 
-All of them are above the WGS 84 ellipsoid (ICESat-2: ITRF2014). GDAL's multidimensional API reads them, else the
-package h5py, where either is there.
+All of them are above the WGS 84 ellipsoid (ICESat-2: ITRF2014). GDAL's multidimensional API reads them, or else the
+package h5py.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def lasers(parameters: RegistrationParameters = REGISTRATION) -> Tuple[Laser, ..
             ("heights/signal_conf_ph",),
             "heights/delta_time",
             _ITRF,
-            "photons of medium and high confidence, and those of low confidence that lie among many",
+            "photons of medium and high confidence, and those of low confidence where photons are dense",
         ),
         Laser(
             "ATL06",
@@ -158,14 +158,14 @@ def read_lasers(path: str, crs: str, bounds: Bounds, check: Callable[[], None] =
             "heights as a CSV file or a raster."
         )
     points = FoundPoints(path, Within(pyproj.CRS("EPSG:4326"), crs, bounds))
-    seen = _Seen()
+    seen = _Counts()
     for beam in having:
         _add_beam(points, store, f"{beam}/", laser=laser, path=path, seen=seen, check=check)
     return points.found(laser.width_m, laser.disc, HeightDatum("", ELLIPSOID), about=seen.sentence(laser))
 
 
 @dataclass
-class _Seen:
+class _Counts:
     """What was read around the scene: how many heights there are, how many were taken, and when they were measured (s
     since the epoch)."""
 
@@ -185,7 +185,7 @@ class _Seen:
 
 
 def _add_beam(
-    points: FoundPoints, store: Any, beam: str, *, laser: Laser, path: str, seen: _Seen, check: Callable[[], None]
+    points: FoundPoints, store: Any, beam: str, *, laser: Laser, path: str, seen: _Counts, check: Callable[[], None]
 ) -> None:
     shape = store.shape(beam + laser.height)
     places = [store.shape(beam + name) for name in (laser.lon, laser.lat)]

@@ -37,7 +37,7 @@ class OwnSurface:
     height: Floats
 
     def averaged(self, factor: int, covered: float) -> OwnSurface:
-        """In cells so many times as wide: means of what is known, where so much of the area is.
+        """In cells so many times as wide: means of the known cells, where at least ``covered`` of the area is known.
 
         Coarse cells are not fused at once: where roofs and ground share a cell, a fused height is that of one of them.
         """
@@ -52,7 +52,7 @@ class OwnSurface:
 
     def as_reference(self, name: str, crs: str) -> Reference:
         """Its cells as a reference for a surface in another CRS, with their slopes; grid norths that differ by a few
-        degrees change means over cells of this size by nothing that counts."""
+        degrees hardly change means over cells of this size."""
         cell, known = self.grid.cell, np.isfinite(self.height)
         slopes = slopes_of(self.height.astype(np.float64), np.diag([cell, -cell]))[known]
         xy = np.column_stack([each[known] for each in np.meshgrid(*self.grid.centres())])
@@ -108,8 +108,8 @@ class Laid:
 def prior_of(
     scene: Scene, planning: PlanningParameters = PLANNING, parameters: RegistrationParameters = REGISTRATION
 ) -> Prior:
-    """What is known of a scene's place before it is laid anywhere: what vendors promise, and of heights what is
-    usual."""
+    """The prior of a scene's position before any registration: the vendors' promise, and for heights the usual
+    errors."""
     horizontal, up = promised(scene.views, planning)
     ties = scene.pointing
     if ties is not None and not ties.controlled:  # errors that images share do not change heights
@@ -153,10 +153,10 @@ def lay(
     check: Check,
     parameters: RegistrationParameters = REGISTRATION,
 ) -> Laid:
-    """Lay a surface on a reference. ``datum`` is what the user says of its heights, None for what the file says, or
-    else what fits.
+    """Lay a surface on a reference. ``datum`` is the user's choice; with None it is the datum that the file states, or
+    else the one that fits.
 
-    Raises EmptyResultError where too few heights lie on the surface, OptionError where the datum cannot be told.
+    Raises EmptyResultError where too few heights lie on the surface, OptionError where the datum cannot be found.
     """
 
     def solved(reference: Reference) -> Shift:

@@ -15,7 +15,7 @@ class WaveParameters(Parameters):
     per_spline: float = 20.0  # differences for each spline of a view, at least
     across: int = 3  # pixels of a height map that are read along a side of a support, at least
     covered: float = 0.3  # of the pixels that a support should have, which a mean of them needs
-    most_supports: int = 200_000  # of a reference: more of them tell no more, and take time
+    most_supports: int = 200_000  # of a reference: more of them add nothing and take time
     steepest: float = 1.0  # slope of the ground: on steeper one, errors of place are larger than waves
     iterations: int = 6
     tukey: float = 4.685  # as above
@@ -23,7 +23,7 @@ class WaveParameters(Parameters):
     limit: float = 3.0  # NMADs at which differences are cut for the information criterion
     block_widths: float = 8.0  # side of the blocks in which errors may be alike, in widths of a support
     least_blocks: int = 20
-    first_spread: float = 10.0  # differences that tell as much as one, before the first look
+    first_spread: float = 10.0  # differences that count as one independent value, before this is estimated
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class RegistrationParameters(Parameters):
     least_supports: int = 50  # heights of the reference that see the own surface: fewer are refused
     search_supports: int = 4000  # of them that the search over whole steps looks at, evenly taken
     search_step: float = 0.5  # of the larger of the surface's cell and the support's width
-    keep_share: float = 0.5  # of the supports that a shift of the search must leave in common
+    keep_share: float = 0.5  # of the supports that must still overlap after a shift of the search
     cap_nmad: float = 3.0  # differences are truncated here in the search
     iterations: int = 30  # Gauss-Newton steps, at most
     converged_m: float = 0.002  # a step as small as this is the last
@@ -65,13 +65,13 @@ class RegistrationParameters(Parameters):
     most_heights: int = 10_000_000  # of points and lasers within the scene: more do not fit into memory
     believable: float = 3.0  # promised standard deviations of height, within which a vertical datum is likely
     local_parts: int = 4  # along each side of the surface, whose offsets are shown
-    most_cells: int = 6_000_000  # of the own surface: half a gigabyte, and more tell no more than millimetres
+    most_cells: int = 6_000_000  # of the own surface: half a gigabyte; more would change millimetres only
     cells_across: float = 6.0  # of the own surface in a support of the reference, if the images are fine enough
     coarse_cells: float = 2.5  # in a support, of a surface that is made of a part of the heights
     averaged_cells: float = 3.0  # of the own surface that cells of a finer reference are averaged to: it sees no finer
     search: float = 3.0  # a shift is looked for up to so many CE90 that the vendor promises ...
     least_search_m: float = 40.0  # ... and at least up to this
-    contradiction: float = 3.0  # standard deviations between two sources that are one too many
+    contradiction: float = 3.0  # standard deviations between two sources, from which on they contradict each other
     least_contradiction_m: float = 0.1
     dem_cells: int = 250_000  # coarse cells of a DSM that is compared with the user's DEM, about
     relief_m: float = 5.0  # NMAD of a reference's heights: with less, noise and roofs may have any correlation. Chosen

@@ -1,4 +1,4 @@
-"""Which photons of low confidence lie where many others lie: ground and vegetation among the light of day.
+"""Which photons of low confidence lie where photons are dense: ground and vegetation in the noise of daylight.
 
 ATL03 says of each photon how likely it comes back from a surface. By day, and from weak beams, most of these are of low
 confidence, though they lie on a surface: noise is scattered over hundreds of metres of height, and a surface is not. A
@@ -26,8 +26,8 @@ def dense(
 ) -> Mask:
     """(N,) which photons of one beam lie among many.
 
-    ``lon`` and ``lat`` are degrees, ``height`` m, ``noise`` (N,) which photons are taken for noise: these tell how many
-    noise puts into a window.
+    ``lon`` and ``lat`` are degrees, ``height`` m, ``noise`` (N,) which photons are assumed to be noise: they give the
+    density of noise in a window.
     """
     if not len(height):
         return np.zeros(0, dtype=bool)

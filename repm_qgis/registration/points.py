@@ -94,7 +94,7 @@ def read_points_of_table(path: str, crs: str, bounds: Bounds, check: Callable[[]
 
     Fields for longitude and latitude are in degrees (WGS 84); x and y are too if all are as small as degrees are, and
     are in the scene's CRS else. The names of heights and quality are those of :data:`_LASER_HEIGHTS` and
-    :func:`~repm_qgis.registration.lasers.flags`; heights of other names, such as z, are above what nobody knows.
+    :func:`~repm_qgis.registration.lasers.flags`; heights of other names, such as z, have an unknown datum.
     ``check`` is called between parts, and may raise to stop.
 
     Raises InputTableError with the file and the row for what cannot be read, OverlapError where no point is within the

@@ -1,13 +1,13 @@
 """The shift that lays a surface onto a reference, and how well the heights determine it.
 
 Where a surface with slopes g is displaced by s, its heights differ by g·s (Nuth and Kääb 2011, The Cryosphere 5);
-here the reference's own resolution is imitated first, and every height has the weight that it deserves: Tukey's
-biweight around the mode, so that trees and roofs above a bare-earth reference count little, with a noise that grows
-with the slope (Hugonnet et al. 2022, IEEE JSTARS 15). The noise of the own surface makes slopes, too, which look as if
-they told a position: a raster's own slopes are therefore instruments of the solution (instrumental variables; Bound,
-Jaeger and Baker 1995 on weak ones), as the two noises have nothing in common. Errors of neighbouring heights are
-alike; the covariance of the solution sums them up with the correlation that the residuals show, which without that
-would be far too small.
+here the reference's own resolution is imitated first, and every height is weighted by Tukey's biweight around the mode,
+so that trees and roofs above a bare-earth reference count little, with a noise that grows with the slope (Hugonnet et
+al. 2022, IEEE JSTARS 15). The noise of the scene's own surface also makes slopes, and these would bias the shift.
+Therefore the slopes of a raster reference are the instruments of the solution (instrumental variables; Bound, Jaeger
+and Baker 1995 on weak ones): the noise of the reference is independent of that of the surface. Errors of neighbouring
+heights are correlated; the covariance of the solution takes their correlation from the residuals, and would be far too
+small without it.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ _ROWS = 512  # of pairs' distances that are computed at once
 
 @dataclass(frozen=True)
 class Prior:
-    """What the vendor promises of the pointing: the standard deviations of a position in one direction and of a height,
-    m; and how far at most a shift is looked for."""
+    """The vendor's promise for the pointing: the standard deviations of a position in one direction and of a height, m;
+    and the largest shift that is searched."""
 
     horizontal_m: float
     up_m: float
@@ -42,13 +42,13 @@ class Prior:
 class Shift:
     """What to add to the own surface's coordinates so that it lies on the reference.
 
-    ``ground`` has its tilt around the middle of the surface's cells, zero where none was asked for or carried.
-    ``covariance`` (5, 5) of ``moved`` and ``tilt``, as far as they are determined. ``determined`` (k, 2) are the
-    horizontal directions (unit vectors) that the relief determines well enough; in the others the surface stays as it
-    was. Of the reference's heights: (N, 2) ``xy`` of those that see the surface, (N,) their differences (reference
-    minus surface, m) ``before_m`` (NaN where the surface was not there) and ``after_m``, and their ``weight``;
-    ``range_m`` is how far the differences are correlated. ``offsets`` are those of the surface's parts.
-    ``other_relief``: the surface has not the reference's.
+    ``ground`` has its tilt around the middle of the surface's cells, zero where none was requested or where the heights
+    do not determine it. ``covariance`` (5, 5) of ``moved`` and ``tilt``, as far as they are determined. ``determined``
+    (k, 2) are the horizontal directions (unit vectors) that the relief determines well enough; in the others the
+    surface stays as it was. Of the reference's heights: (N, 2) ``xy`` of those that see the surface, (N,) their
+    differences (reference minus surface, m) ``before_m`` (NaN where the surface was not there) and ``after_m``, and
+    their ``weight``; ``range_m`` is how far the differences are correlated. ``offsets`` are those of the surface's
+    parts. ``other_relief``: the surface does not have the reference's relief.
     """
 
     ground: GroundShift
@@ -86,7 +86,8 @@ def solve_shift(
     check: Callable[[], None] = lambda: None,
     parameters: RegistrationParameters = REGISTRATION,
 ) -> Shift:
-    """The shift, and a tilt where wanted and carried; ``check`` is called between steps, and may raise to stop.
+    """The shift, and a tilt where it is requested and determined; ``check`` is called between steps, and may raise to
+    stop.
 
     Raises EmptyResultError where too few heights of the reference see the surface.
     """
@@ -94,7 +95,7 @@ def solve_shift(
     start = _search(surface, xyz, prior, check, parameters)
     problem = _Problem(surface, reference, parameters)
     found = problem.determined(start, np.eye(2), tilted, check)
-    if tilted and not _carried(found[1], surface, prior, parameters):
+    if tilted and not _is_precise(found[1], surface, prior, parameters):
         tilted = False
         found = problem.determined(start, np.eye(2), tilted, check)
     coarse = max(parameters.trusted_widths * max(reference.width_m), parameters.trusted_m)
@@ -128,7 +129,7 @@ def _other_relief(own: FloatArray, reference: FloatArray, parameters: Registrati
     """Whether (N,) heights of the surface have another relief than those of the reference; None where they have not,
     or the reference is too level to tell.
 
-    All heights count, not only those with a weight: these agree by choice.
+    All heights count, not only those with a weight: those were chosen because they agree.
     """
     from scipy.stats import spearmanr
 
@@ -141,8 +142,10 @@ def _other_relief(own: FloatArray, reference: FloatArray, parameters: Registrati
     return None if alike else found
 
 
-def _carried(covariance: FloatArray, surface: SupportMeans, prior: Prior, parameters: RegistrationParameters) -> bool:
-    """Whether heights at the surface's ends are certain enough with the tilt that was found."""
+def _is_precise(
+    covariance: FloatArray, surface: SupportMeans, prior: Prior, parameters: RegistrationParameters
+) -> bool:
+    """Whether heights at the surface's ends are precise enough with the tilt that was found."""
     ends = np.sqrt(np.diag(covariance)[3:]) * np.array(surface.extent_m) / 2
     return bool((ends <= parameters.undetermined * prior.up_m).all())
 
@@ -303,7 +306,7 @@ class _Problem:
         return solution, covariance, correlation
 
     def back(self, found: "_Found", free: FloatArray, tilted: bool) -> "_Found":
-        """What stays of a solution where directions that are not ``free`` are put back to where they were.
+        """A solution whose directions that are not ``free`` are set back to their start.
 
         Heights follow by the mean slope alone, with the weights of the solution: elsewhere, houses and trees stand
         beside those of the reference, and their differences would have no mode at the ground.
@@ -327,7 +330,7 @@ class _Problem:
         """A solution with the own surface's slopes, from that with a fine reference's.
 
         At the edges of roofs the own surface has errors that the reference's slopes take for a shift; its own slopes do
-        so less. Half of what the two solutions differ by is added to the deviations: it shows such errors.
+        so less. Half of the difference between the two solutions is added to the deviations: it shows such errors.
         """
         first, own = found[0].unknowns, replace(self._reference, slopes=None)
         solution = _Problem(self._surface, own, self._parameters).solve(first[:3], free, tilted, check)
@@ -338,8 +341,8 @@ class _Problem:
     def local_offsets(
         self, solution: _Solution, free: FloatArray, correlation: "_Correlation"
     ) -> Iterator[LocalOffset]:
-        """What parts of the surface alone ask for in the directions that the whole determines: a step from the
-        solution, as far as the part's own heights carry it."""
+        """The shifts that parts of the surface alone would need, in the directions that the whole determines: a step
+        from the solution, as far as the part's own heights determine it."""
         p, basis = self._parameters, _basis(free, False)
         low, side = self.centre - np.array(self._surface.extent_m) / 2, np.array(self._surface.extent_m)
         part = np.floor((self._xyz[:, :2] - low) / side * p.local_parts).astype(int)

@@ -1,4 +1,4 @@
-"""The own surface as a reference sees it: means over the reference's supports, and their gradients."""
+"""The own surface as a reference sees it: means over the supports of the reference's heights, and their gradients."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Reference:
 
     Each is the mean over a rectangle (a raster's cell) or a disc (a laser's footprint) that is ``width_m`` wide from
     west to east and from south to north; 0 for points. ``slopes`` (N, 2), of a raster, are its own slopes to the east
-    and to the north (m per m), NaN where unknown. ``name`` is what people know it by.
+    and to the north (m per m), NaN where unknown. ``name`` is its name in messages.
     """
 
     name: str

@@ -165,7 +165,7 @@ def _weight(residual: FloatArray, sigma: float, parameters: WaveParameters) -> F
 def _spread(
     residual: FloatArray, weight: FloatArray, x: FloatArray, y: FloatArray, width_m: float, parameters: WaveParameters
 ) -> float:
-    """How many differences tell as much as one independent one: errors of neighbours, and of maps of one place, are
+    """How many differences count as one independent one: errors of neighbours, and of maps of one place, are
     alike. The variance of the means of blocks, over what it would be."""
     side = parameters.block_widths * width_m
     column, row = ((np.floor((each - each.min()) / side)).astype(np.intp) for each in (x, y))

@@ -95,12 +95,12 @@ class WaveChange:
         up, moved = np.zeros_like(height), np.zeros((*height.shape, 2))
         for number in range(2):
             lines = self.geometry.lines[number].on_grid(columns, rows, height)
-            change = _at(self.now[number], lines) - _at(self.before[number], lines)
+            change = _displacement(self.now[number], lines) - _displacement(self.before[number], lines)
             up += change @ self.geometry.height_m[number]
             if number == 0:
                 moved = change @ self.geometry.place_m.T
         return up, moved
 
 
-def _at(jitter: Optional[Jitter], lines: FloatArray) -> FloatArray:
+def _displacement(jitter: Optional[Jitter], lines: FloatArray) -> FloatArray:
     return np.zeros((*lines.shape, 2)) if jitter is None else jitter.at(lines)

@@ -98,7 +98,7 @@ def test_a_geoid_is_found_where_it_alone_fits(geoids, heights):
     assert choice.shift.moved == pytest.approx([12.0, 0.0, 4.0], abs=0.05)
     assert choice.sentence == (
         "'glo30.tif' does not say what its heights refer to; the scene's heights change by +4.0 m if that is the "
-        "EGM2008 geoid, and by -45.1 m if it is the ellipsoid: they are taken as EGM2008 heights; give REFERENCE_DATUM "
+        "EGM2008 geoid, and by -45.1 m if it is the ellipsoid: they are assumed to be EGM2008 heights; give REFERENCE_DATUM "
         "if that is wrong. With EGM96 instead, the scene's heights change by +4.7 m."
     )
 
@@ -129,7 +129,7 @@ def test_heights_above_the_ellipsoid_are_found(geoids, heights):
     choice = likely_datum(found, UTM, solved, 2.0)
     assert choice.datum == HeightDatum.of("ellipsoid") and choice.certain and len(calls) == 1
     assert "change by +53.1 m if that is the EGM2008 geoid, and by +4.0 m if it is the ellip" in choice.sentence
-    assert choice.sentence.endswith("heights above the ellipsoid; give REFERENCE_DATUM if that is wrong.")
+    assert choice.sentence.endswith("assumed to be above the ellipsoid; give REFERENCE_DATUM if that is wrong.")
 
 
 def test_a_grid_that_is_missing_is_named(geoids, heights):
@@ -137,7 +137,9 @@ def test_a_grid_that_is_missing_is_named(geoids, heights):
     found, solved, _ = heights("EGM96")
     choice = likely_datum(found, UTM, solved, 2.0)
     assert choice.datum == HeightDatum.of("EGM96") and not choice.certain
-    assert "they are taken as EGM96 heights" in choice.sentence and "grid_of_3855.tif is not inst" in choice.sentence
+    assert (
+        "they are assumed to be EGM96 heights" in choice.sentence and "grid_of_3855.tif is not inst" in choice.sentence
+    )
     assert choice.sentence.endswith(", or give another REFERENCE_DATUM.")
 
 

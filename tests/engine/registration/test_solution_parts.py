@@ -197,7 +197,7 @@ def test_a_tilt_is_carried_where_both_ends_are_certain():
     most = REGISTRATION.undetermined * prior.up_m / 200.0
     for east, north, carried in ((0.9, 0.9, True), (1.1, 0.1, False), (0.1, 1.1, False)):
         covariance = np.diag([1.0, 1.0, 1.0, (east * most) ** 2, (north * most) ** 2])
-        assert solve._carried(covariance, surface, prior, REGISTRATION) is carried
+        assert solve._is_precise(covariance, surface, prior, REGISTRATION) is carried
 
 
 def test_of_many_heights_so_many_pairs_are_taken():
