@@ -1,14 +1,14 @@
-"""The heights that several maps give a cell, and what speaks for each of them (paper, "DSMs aggregation").
+"""The heights that several maps give a cell, and the evidence for each of them (paper, "DSMs aggregation").
 
-Each map is one witness. Its height is known to the error that matching leaves at its score, unless it is a gross error,
-about which it says nothing: so what a map has against a height grows with the square of their distance, in its
-standard deviations, up to a limit (the truncated quadratic of Blake and Zisserman 1987, "Visual reconstruction").
-Scores hardly tell gross errors, places do: of matched heights 5 % are gross errors, of those beside a step down or a
-hole of their own map 20 to 60 %, on real and simulated towns, mountains and three-line images alike. Such
-heights have less evidence, and so have backgrounds of occlusions.
+Each map is one observation. Its height has the standard deviation that matching leaves at its score, or is a gross
+error. So the cost of a height that differs from a map's grows with the square of the difference, in standard
+deviations, up to a limit (the truncated quadratic of Blake and Zisserman 1987, "Visual reconstruction"). Gross errors
+are hardly recognised by their scores, but by their places: of matched heights 5 % are gross errors, of those beside a
+step down or a hole of their own map 20 to 60 %, on real and simulated towns, mountains and three-line images alike.
+Such heights have less evidence, and so have backgrounds of occlusions.
 
-The height with the least against it is the first candidate of a cell; what other maps say instead is its second one.
-``choice.py`` decides between them, and neighbours, where the scene has walls.
+The height with the least cost is the first candidate of a cell; the height of the maps that contradict it is the second
+one. ``choice.py`` decides between them, and neighbours, where the scene has walls.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ class HeightLayer:
 
     @property
     def unit(self) -> float:
-        """In what standard deviations of heights are counted, m: pairs with a wider base see heights better by the
-        root of it only, because they also see relief otherwise (counted on towns, mountains, three-line images)."""
+        """The unit of the standard deviations of heights, m: it falls with the root of the base only, because images of
+        pairs with a wider base differ more (measured on towns, mountains, three-line images)."""
         return math.sqrt(self.metres_per_px * self.spacing)
 
 
@@ -90,7 +90,7 @@ FIELDS = len(fields(Candidate))
 
 @dataclass(frozen=True)
 class FusedCells:
-    """What the maps say of cells: the ``first`` candidate, the ``second`` one, and the ``evidence`` of all maps."""
+    """What the maps give for cells: the ``first`` candidate, the ``second`` one, and the ``evidence`` of all maps."""
 
     first: Candidate
     second: Candidate
@@ -98,7 +98,7 @@ class FusedCells:
 
     @classmethod
     def of(cls, arrays: Sequence[FloatImage]) -> FusedCells:
-        """Of what :meth:`arrays` or :meth:`without_choice` gives."""
+        """From the arrays of :meth:`arrays` or :meth:`without_choice`."""
         first, second, evidence = arrays[:FIELDS], arrays[FIELDS:-1], arrays[-1]
         return cls(Candidate(*first), Candidate(*second) if second else Candidate.none(evidence.shape), evidence)
 
@@ -132,7 +132,7 @@ class FusedCells:
 
 
 def rim_cells(spacing: float, cell: float, parameters: EvidenceParameters = FUSION.evidence) -> int:
-    """How many cells of ``cell`` m from a step matching may widen what stands above it, in pixels of ``spacing`` m."""
+    """How many cells of ``cell`` m matching may widen an object beyond its edge, with pixels of ``spacing`` m."""
     return max(1, round(parameters.rim_px * spacing / cell))
 
 
@@ -145,10 +145,10 @@ def aggregate(
     ``rim`` is as of :func:`rim_cells`.
     """
     shape = layers[0].height.shape
-    witnesses = _Witnesses.of(layers, rim, parameters)
+    observations = _Observations.of(layers, rim, parameters)
     first, second = (Candidate.none((layers[0].height.size,)) for _ in range(2))
-    known = np.flatnonzero(np.isfinite(witnesses.height).any(axis=0))
-    every = witnesses.of_cells(known)
+    known = np.flatnonzero(np.isfinite(observations.height).any(axis=0))
+    every = observations.of_cells(known)
     mean = every.mean(np.isfinite(every.height))
     agreed = every.all_near(mean)
     _put(first, known[agreed], every.of_cells(agreed).described(mean[agreed], method))
@@ -159,7 +159,7 @@ def aggregate(
         other = np.isfinite(rest.height).any(axis=0)
         known, rest = known[other], rest.of_cells(other)
         _put(second, known, rest.described(rest.best(), method))
-    arrays = (*first.arrays(), *second.arrays(), witnesses.evidence.sum(axis=0))
+    arrays = (*first.arrays(), *second.arrays(), observations.evidence.sum(axis=0))
     return FusedCells.of([values.reshape(shape) for values in arrays])
 
 
@@ -169,8 +169,8 @@ def _put(target: Candidate, cells: IntArray, values: Candidate) -> None:
 
 
 @dataclass(frozen=True)
-class _Witnesses:
-    """What each of (maps, N) says of N cells: its ``height`` (m, NaN = nothing), its ``evidence`` (0 = nothing), its
+class _Observations:
+    """The observations (maps, N) of N cells: ``height`` (m, NaN = none), ``evidence`` (0 = none),
     standard deviation ``sigma`` (m), its ``score``, and whether it is ``matched`` or a background."""
 
     height: FloatImage
@@ -181,17 +181,17 @@ class _Witnesses:
     parameters: EvidenceParameters
 
     @classmethod
-    def of(cls, layers: Sequence[HeightLayer], rim: int, parameters: EvidenceParameters) -> _Witnesses:
-        parts = zip(*(_witness(layer, rim, parameters) for layer in layers))
+    def of(cls, layers: Sequence[HeightLayer], rim: int, parameters: EvidenceParameters) -> _Observations:
+        parts = zip(*(_observed(layer, rim, parameters) for layer in layers))
         height, evidence, sigma, score, matched = (np.stack([values.ravel() for values in part]) for part in parts)
         return cls(height, evidence, sigma, score, matched > 0, parameters)
 
-    def of_cells(self, cells: Union[IntArray, Mask]) -> _Witnesses:
+    def of_cells(self, cells: Union[IntArray, Mask]) -> _Observations:
         """The same of some of the N cells."""
         height, evidence, sigma, score = (
             part[:, cells] for part in (self.height, self.evidence, self.sigma, self.score)
         )
-        return _Witnesses(height, evidence, sigma, score, self.matched[:, cells], self.parameters)
+        return _Observations(height, evidence, sigma, score, self.matched[:, cells], self.parameters)
 
     def mean(self, members: Mask) -> FloatImage:
         """(N,) the mean of the members' heights, weighted by their inverse variances; NaN without any."""
@@ -205,28 +205,28 @@ class _Witnesses:
         return mean
 
     def near(self, height: FloatImage) -> Mask:
-        """(maps, N) which witnesses mean the same surface as a height (m) of each cell."""
+        """(maps, N) which observations belong to the same surface as a height (m) of each cell."""
         with np.errstate(invalid="ignore"):
             result: Mask = np.abs(self.height - height) <= self.parameters.same * self.sigma
         return result
 
     def all_near(self, height: FloatImage) -> Mask:
-        """(N,) where all witnesses lie so close to a height that none may belong to another surface."""
+        """(N,) where all observations lie so close to a height that none may belong to another surface."""
         with np.errstate(invalid="ignore"):
             far = np.abs(self.height - height) > 0.5 * self.parameters.same * self.sigma
         result: Mask = ~far.any(axis=0)
         return result
 
-    def apart_from(self, height: FloatImage) -> _Witnesses:
-        """The same without those that mean the same surface as a height (m) of each cell."""
+    def apart_from(self, height: FloatImage) -> _Observations:
+        """The same without those that belong to the same surface as a height (m) of each cell."""
         return replace(self, height=np.where(self.near(height), np.float32(np.nan), self.height))
 
     def best(self) -> FloatImage:
-        """(N,) the height, of those of the witnesses, that has the least against it; NaN without any."""
+        """(N,) the observed height with the least cost; NaN without any."""
         least = np.full(self.height.shape[1], np.inf, np.float32)
         result = np.full(least.shape, np.nan, np.float32)
         for candidate, sigma in zip(self.height, self.sigma):
-            # Of two that have as much against them the surer one, or else the lower one: so the order of the maps,
+            # Of two with equal cost, the more precise one, or else the lower one: so the order of the maps,
             # and of sums, does not matter.
             cost = np.where(np.isfinite(candidate), self._against(candidate) + _SURER * sigma, np.float32(np.inf))
             with np.errstate(invalid="ignore"):
@@ -237,11 +237,12 @@ class _Witnesses:
     def _against(self, height: FloatImage) -> FloatImage:
         cost = np.zeros(height.shape, np.float32)
         for own, evidence, sigma in zip(self.height, self.evidence, self.sigma):
-            cost += objection(height, own, evidence, sigma, self.parameters)
+            cost += disagreement(height, own, evidence, sigma, self.parameters)
         return cost
 
     def described(self, height: FloatImage, method: str) -> Candidate:
-        """The candidates with the surface of a height (m) of each cell: all witnesses that mean it are their maps."""
+        """The candidates on the surface of a height (m) of each cell: all observations of this surface are their
+        maps."""
         members = self.near(height)
         matched = members & self.matched
         count = matched.sum(axis=0)
@@ -262,17 +263,17 @@ class _Witnesses:
         return Candidate(*(values.astype(np.float32) for values in arrays))
 
 
-def objection(
+def disagreement(
     height: FloatImage, own: FloatImage, evidence: FloatImage, sigma: FloatImage, parameters: EvidenceParameters
 ) -> FloatImage:
-    """(N,) what a witness with its ``own`` heights (m, NaN = none) has against heights (m) of N cells: nothing against
-    its own, and its ``evidence`` against those that lie too far from it."""
+    """(N,) the cost of heights (m) of N cells by an observation with its ``own`` heights (m, NaN = none): zero for its
+    own height, its ``evidence`` for heights that are too far from it."""
     with np.errstate(invalid="ignore"):
         apart = (height - own) / (np.float32(parameters.same) * sigma)
     return np.where(np.isnan(apart), np.float32(0), evidence * np.minimum(apart * apart, np.float32(1)))
 
 
-def _witness(layer: HeightLayer, rim: int, p: EvidenceParameters) -> Tuple[FloatImage, ...]:
+def _observed(layer: HeightLayer, rim: int, p: EvidenceParameters) -> Tuple[FloatImage, ...]:
     """Height, evidence, standard deviation and score of a map's cells, and which of them are matched."""
     height, background, score = (
         np.asarray(values, np.float32) for values in (layer.height, layer.background, layer.score)

@@ -1,7 +1,6 @@
-"""How bright the cells of a DSM are: the median of several views, so that a shadow that moved counts for little.
-
-Neither the block in which cells are asked for nor its place has a part in their brightness: views have one range for
-the whole scene, and what is interpolated lies on a lattice that is fixed on the ground.
+"""The intensity of a DSM's cells: the median of several views, so that a shadow that moved has little weight. The
+intensity of a cell does not depend on the block in which it is computed: each view has one range for the whole scene,
+and values are interpolated on a lattice that is fixed on the ground.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ from .visible import blocked, nadir_first, pixels_on
 
 @dataclass(frozen=True)
 class Witnesses:
-    """The views that tell how bright cells are, the most vertical ones first, with their stretches and how far their
-    lines of sight go sideways (m east and north for each m up); the scene's CRS of cells, and its altitudes."""
+    """The views that give the intensity of cells, the most vertical ones first, with their stretches and the slopes of
+    their lines of sight (m east and north for each m up); the CRS of the cells, and the scene's altitudes."""
 
     views: Tuple[View, ...]
     stretches: Tuple[Stretch, ...]
@@ -57,8 +56,8 @@ def brightness(
     """(H, W) brightness of cells with their heights (m above the ellipsoid): 0 to 1 is the range of nearly all pixels
     of a view. NaN is unknown.
 
-    The first views that show the grid are taken, as many as the parameters say; each counts where it sees a cell past
-    all that stands higher within ``hidden_cells`` of it.
+    The first views that show the grid are taken, as many as the parameters say; each counts where nothing higher within
+    ``hidden_cells`` hides the cell from it.
     """
     seen = list(lights(witnesses, grid, height, parameters, visibility))
     return median_of_known(np.stack(seen)) if seen else np.full(grid.shape, np.nan, np.float32)
@@ -74,7 +73,7 @@ def lights(
 ) -> Iterator[FloatImage]:
     """The brightness (H, W) that each of these views shows, NaN where it does not see a cell.
 
-    With a window ``asked``, that of its cells alone; what stands on the others may hide them.
+    With a window ``asked``, only of the cells in it; objects on the other cells may hide them.
     """
     known = np.isfinite(height)
     if not known.any():

@@ -1,22 +1,22 @@
-"""One height for each cell of a town, chosen among all that may be there.
+"""One height for each cell of a town, chosen among its possible heights. Until this step a cell only has the height
+maps as observations, and all of them may have the same error: in a deep shadow there is no texture to match, and every
+pair continues the roof into it. A cell's height is chosen from its own candidates, the ground in a shadow, and the
+heights of its neighbours, as the one with the least sum of
 
-Up to here each cell has its own maps alone for witnesses, and all of them may be wrong alike: in a deep shadow there is
-nothing to match, and every pair continues the roof into it. A cell's height is chosen from its own candidates, the
-ground in a shadow, and the heights of its neighbours, as the one with the least sum of
-
-- what the maps have against it (``aggregation.py``), in units of a map's evidence. Pairs share images, so that the sum
+- the cost of the maps' observations (``aggregation.py``), in units of a map's evidence. Pairs share images, so that the
+sum
   of n maps counts as the root of n;
 - how far it lies from the heights around it, in a truncated linear norm (Boykov, Veksler and Zabih 2001, "Fast
-  approximate energy minimization via graph cuts"), each weighted by how alike the images show the two cells, as in
+  approximate energy minimization via graph cuts"), each weighted by the similarity of the two cells' intensities, as in
   adaptive support weights (Yoon and Kweon 2006);
-- at steps, how little the cell looks like the surface whose height it would have: the negative logarithm of its
-  brightness's density among the cells of that surface within some metres (a kernel estimate, as in "GrabCut", Rother,
-  Kolmogorov and Blake 2004). This is what tells a roof from the shadow beside it.
+- at steps, how little the cell resembles the surface whose height it would have: the negative logarithm of the density
+of its intensity among the cells of that surface within some metres (a kernel estimate, as in "GrabCut", Rother,
+  Kolmogorov and Blake 2004). This term separates a roof from the shadow beside it.
 
 All cells are decided at once, sweep after sweep (Besag's iterated conditional modes, 1986), and neighbours pass their
 heights on (as in PatchMatch stereo, Bleyer, Rhemann and Rother 2011). A sweep depends on cells within a fixed reach, so
 that heights do not depend on the blocks in which they are made. Ground without steps stays as it is, and so does all of
-a scene without walls (``walls.py``): there these terms would take away relief.
+a scene without walls (``walls.py``): there these terms would flatten relief.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ import cv2
 import numpy as np
 
 from ..contracts.arrays import FloatImage, IntArray, Mask
-from .aggregation import FusedCells, objection
+from .aggregation import FusedCells, disagreement
 from .parameters import FUSION, ChoiceParameters, EvidenceParameters
 from .surroundings import Offsets, extremes, farthest, others, places
 
 _NEIGHBOURS = ((-1, 0), (0, -1), (0, 1), (1, 0))
 _AT_ONCE = 1 << 13  # cells whose arrays fit into a processor's cache
 _NOTHING, _INFINITE = np.float32(np.nan), np.float32(np.inf)
-Witness = Tuple[FloatImage, FloatImage, FloatImage]
+Observation = Tuple[FloatImage, FloatImage, FloatImage]
 """(N,) heights of cells (m), the evidence for them, and their standard deviations (m)."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """The cells of a grid of the side ``cell`` (m): what their maps say, the ``ground`` of shadows (H, W) (m, NaN =
+    """The cells of a grid of the side ``cell`` (m): what their maps give, the ``ground`` of shadows (H, W) (m, NaN =
     none), and their ``brightness`` (H, W), NaN = unknown (:func:`.brightness.brightness`)."""
 
     fused: FusedCells
@@ -52,8 +52,8 @@ class Problem:
     evidence: EvidenceParameters = FUSION.evidence
     parameters: ChoiceParameters = FUSION.choice
 
-    def witnesses(self, cells: IntArray) -> List[Witness]:
-        """What speaks for the candidates of (N,) cells, and for the ground. In a shadow the images show little, so that
+    def observations(self, cells: IntArray) -> List[Observation]:
+        """The observations of (N,) cells: their candidates, and the ground. In a shadow the images show little, so that
         maps have less evidence there."""
         ground, p = self.ground.ravel()[cells], self.evidence
         shaded = np.isfinite(ground)
@@ -71,7 +71,7 @@ def reach_cells(cell: float, parameters: ChoiceParameters = FUSION.choice) -> in
 
 
 def chosen(problem: Problem) -> FloatImage:
-    """(H, W) heights, m; NaN where no map has a height and no shadow lies on ground."""
+    """(H, W) heights, m; NaN where no map has a height and no ground in a shadow is known."""
     height = np.where(np.isfinite(problem.ground), problem.ground, problem.fused.height)
     sweeper = _Sweeper(problem)
     asked = sweeper.uneven(height)
@@ -138,7 +138,7 @@ class _Sweeper:
         candidates = [own, problem.fused.first.height.ravel()[cells], problem.fused.second.height.ravel()[cells]]
         candidates.append(problem.ground.ravel()[cells])
         candidates += [padded.ravel()[place + down * self._width + right] for down, right in _NEIGHBOURS]
-        witnesses = problem.witnesses(cells)
+        observations = problem.observations(cells)
         around, alike = self._surroundings(padded, place, self._near)
         alike = np.where(np.isnan(alike), np.float32(math.exp(-1.0)), alike) * self._closeness
         alike[np.isnan(around)] = 0
@@ -150,8 +150,8 @@ class _Sweeper:
         best: FloatImage = own.copy()
         for candidate in candidates:
             cost = np.zeros(len(cells), np.float32)
-            for witness in witnesses:
-                cost += objection(candidate, *witness, problem.evidence)
+            for observation in observations:
+                cost += disagreement(candidate, *observation, problem.evidence)
             cost *= limits
             away = np.abs(around - candidate)
             away *= np.float32(1 / p.scale_m)
@@ -164,18 +164,19 @@ class _Sweeper:
         return best
 
     def _unlike(self, candidate: FloatImage, around: FloatImage, alike: FloatImage) -> FloatImage:
-        """(N,) the negative logarithm of how alike a cell is to those around that have the candidate's surface."""
+        """(N,) the negative logarithm of a cell's similarity to the cells around it that have the candidate's
+        surface."""
         p = self._problem.parameters
         with np.errstate(invalid="ignore"):
             same = (np.abs(around - candidate) < p.step_m) & np.isfinite(alike)
         count = same.sum(axis=0)
-        # Laplace's rule of succession: of a surface that no cell shows, half may look like this one.
+        # Laplace's rule of succession: a surface without any cell has the similarity of one half.
         share = (np.where(same, alike, np.float32(0)).sum(axis=0) + 1) / (count + 2)
         cost: FloatImage = -np.log(share).astype(np.float32)
         return cost
 
     def _surroundings(self, padded: FloatImage, place: IntArray, offsets: Offsets) -> Tuple[FloatImage, FloatImage]:
-        """(offsets, N) the heights around cells, and how alike the images show them, 0 to 1, NaN = unknown."""
+        """(offsets, N) the heights around cells, and the similarity of their intensities, 0 to 1, NaN = unknown."""
         light = self._brightness.ravel()
         shape = len(offsets), len(place)
         around, alike = np.empty(shape, np.float32), np.empty(shape, np.float32)

@@ -1,4 +1,4 @@
-"""Means of a DSM's heights over coarse cells, taken up while its tiles are written, so that nothing is read again."""
+"""Means of a DSM's heights over coarse cells, summed while its tiles are written, so that nothing is read again."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class CoarseMeans:
         self._sum, self._count = np.zeros((rows, columns)), np.zeros((rows, columns))
 
     def add(self, height: Floats, window: Window) -> None:
-        """Take up the heights (rows, columns; NaN: unknown) of a window of the grid."""
+        """Add the heights (rows, columns; NaN: unknown) of a window of the grid."""
         if not height.size:
             return
         known = np.isfinite(height)
@@ -36,6 +36,6 @@ class CoarseMeans:
             total[target] += np.add.reduceat(np.add.reduceat(values, starts[0], axis=0), starts[1], axis=1)
 
     def means(self, covered: float) -> FloatArray:
-        """(rows, columns) means of what is known, NaN where less than ``covered`` of a block is."""
+        """(rows, columns) means of the known heights, NaN where less than ``covered`` of a block is known."""
         enough = self._count >= max(covered * self.factor**2, 1.0)
         return np.where(enough, self._sum / np.maximum(self._count, 1.0), np.nan)

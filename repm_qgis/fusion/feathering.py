@@ -1,4 +1,4 @@
-"""Feathering: the heights of neighbouring tiles change into each other along the seams."""
+"""Feathering: a linear transition between the heights of neighbouring tiles along their seams."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def feathered(
     tolerance: float,
     margin: int = FUSION.feather_cells,
 ) -> Floats:
-    """A tile's heights, which change into its neighbours' within ``margin`` cells of its borders.
+    """A tile's heights, blended with its neighbours' within ``margin`` cells of its borders.
 
     Tiles are matched separately, in frames of their own, and differ by a fraction of the noise along their border,
     which a hillshade shows as a line. Weights fall linearly from the margin inside a border to the margin outside, and

@@ -1,4 +1,4 @@
-"""The finished DSM as products read it that are made from it: its cells, and their heights above the ellipsoid."""
+"""The finished DSM, from which other products are made: its cells, and their heights above the ellipsoid."""
 
 from __future__ import annotations
 

@@ -23,9 +23,9 @@ from .tile_fusion import FusedTile, StoredTile
 
 @dataclass(frozen=True)
 class JoinedTiles:
-    """The candidates of all tiles on the ``crop`` of the layout, feathered into each other: temporary rasters, with
-    second candidates only where there is a choice, and that of the ground in shadows only where the sun is known.
-    ``removed`` cells had too few neighbours."""
+    """The candidates of all tiles on the ``crop`` of the layout, blended along the seams: temporary rasters. Second
+    candidates exist only where heights are chosen, and the ground in shadows only where the sun is known. ``removed``
+    cells had too few neighbours."""
 
     crop: Window
     path: str
@@ -43,7 +43,7 @@ class JoinedTiles:
             return Candidate(*(read(dataset, window, band) for band in range(1, FIELDS + 1)))
 
     def first_heights(self, window: Window) -> FloatImage:
-        """(H, W) the heights to begin with: those of the first candidates, in shadows the ground."""
+        """(H, W) the initial heights: those of the first candidates, and in shadows the ground."""
         ground = self.ground(window)
         with opened(self.path) as dataset:
             return np.where(np.isfinite(ground), ground, read(dataset, window, 1))
@@ -109,7 +109,7 @@ def join_tiles(
 def _feathered(
     scene: Scene, layout: DsmLayout, stored: Sequence[StoredTile], parameters: FusionParameters
 ) -> Iterator[Tuple[Window, FusedTile]]:
-    """The window of each tile and the tile, with heights that change into its neighbours'."""
+    """The window of each tile and the tile, its heights blended with its neighbours'."""
     metres = [record.metres_per_px for tile in scene.tiles for record in tile.heights]
     for index, (window, tile) in enumerate(zip(layout.windows, stored)):
         result = tile.load()

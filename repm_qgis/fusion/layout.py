@@ -1,4 +1,4 @@
-"""Where the cells of a DSM lie, and what its heights are above."""
+"""Where the cells of a DSM lie, and the datum of its heights."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ class DsmLayout:
         return self.datum.file_crs(self.crs)
 
     def undulation(self, grid: CellGrid) -> FloatArray:
-        """(rows, columns) to take off the ellipsoidal heights of a part of the grid; geoids are smooth."""
+        """(rows, columns) m to subtract from the ellipsoidal heights of a part of the grid; geoids are smooth."""
         if not self.datum.code or not all(grid.shape):
             return np.zeros(grid.shape)
         return on_lattice(*grid.centres(), lambda xy: self.datum.undulation(self.crs, xy))
 
 
-_NEAR = 0.1  # cells: so near to a tile's border it is found exactly on which side of it a centre lies
+_NEAR = 0.1  # cells: for centres so near to a tile's border, the side on which they lie is computed exactly
 
 
 def own_cells(grid: CellGrid, crs: str, bounds: Bounds, scene_crs: str) -> Optional[Mask]:

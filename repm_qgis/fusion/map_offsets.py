@@ -1,9 +1,9 @@
 """Offsets that make the height maps of different pairs agree.
 
 Tie points leave the parallax of a pair wrong by about a tenth of a pixel, and in real images the error changes by as
-much within a scene. Across the rows of a rectified pair it is vertical parallax, which is seen; along them it only
-moves heights, smoothly over the ground. Two maps of one place have thousands of heights, so that the difference of
-their errors is known to a few hundredths of a pixel in each part of a scene. What all maps have in common stays
+much within a scene. Across the rows of a rectified pair it is vertical parallax, which can be measured; along them it
+only moves heights, smoothly over the ground. Two maps of one place have thousands of heights, so that the difference of
+their errors is known to a few hundredths of a pixel in each part of a scene. The error that all maps share stays
 unknown, and is left as it is.
 
 Maps are adjusted by their overlaps as strips of a mosaic are (Howat et al. 2019, The Cryosphere 13, 665-674), with
@@ -107,7 +107,8 @@ class _TileTask:
 
 @dataclass(frozen=True)
 class _Compared:
-    """What the maps of a tile say of each other, and x and y (rows, columns) at the nodes of each map's own lattice."""
+    """The differences between the maps of a tile, and x and y (rows, columns) at the nodes of each map's own
+    lattice."""
 
     differences: List[Differences]
     ground: List[Tuple[FloatArray, FloatArray]]
@@ -233,8 +234,8 @@ def solve_parallax(
 ) -> Dict[Key, FloatArray]:
     """The error of the parallax (px) of each map that was compared with another, on the lattice's nodes, row by row.
 
-    Least squares with Huber's weights, and a prior of small and smooth errors: it keeps what differences leave open,
-    the mean of all maps, each with the weight of its geometry.
+    Least squares with Huber's weights, and a prior of small and smooth errors: the prior keeps the mean of all maps,
+    each weighted by its geometry, because differences do not determine it.
     """
     from scipy import sparse
     from scipy.sparse.linalg import spsolve

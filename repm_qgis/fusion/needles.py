@@ -1,9 +1,9 @@
-"""Needles removed: a few cells far above all others around them, which a single map has.
+"""Removes spikes ("needles"): a few cells far above all others around them, which a single map has.
 
 Matching removes small connected components of disparities, but lets those pass that match well: towers and chimneys are
 so small. Where a texture repeats itself, gross errors match as well. Other maps outvote most cells of such a patch, and
-what is left of it in the surface is even smaller. So a component that is as small as what matching removes needs a
-second map for a witness, if it is much higher above everything around it than it is wide.
+the rest of it in the surface is even smaller. So a component of the size that matching removes is kept only with the
+support of a second map, if it stands above everything around it by much more than it is wide.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _NONE = -32768
 
 
 def largest_needle(cell: float, spacing: float, parameters: NeedleParameters = FUSION.needles) -> int:
-    """How many cells of the side ``cell`` a needle has at most, whose pixels lie ``spacing`` apart (both m)."""
+    """The largest number of cells of the side ``cell`` that a needle has, for pixels ``spacing`` apart (both m)."""
     return max(1, min(round(parameters.speckle_px * (spacing / cell) ** 2), parameters.most_cells))
 
 

@@ -1,9 +1,9 @@
-"""The ground that a view does not see itself: behind each step in height, as far as its line of sight passes over it.
+"""The ground that is hidden from a view: behind each step in height, as far as the line of sight passes above it.
 
-A height map has a height for each pixel of one image. Behind a building as that image sees it there are no pixels; but
-the extent of that strip of ground is known: the line of sight that just passes the edge of the roof meets the ground
-at its end. The strip takes the height and the slope of the ground next to it, as the ground that the other image does
-not see (``matching/occlusions``).
+A height map has a height for each pixel of one image. The ground that a building hides in this image has no pixels, but
+the extent of this strip of ground is known: the line of sight that just passes the edge of the roof meets the ground at
+its end. The strip takes the height and the slope of the ground next to it, as the ground that the other image does not
+see (``matching/occlusions``).
 """
 
 from __future__ import annotations

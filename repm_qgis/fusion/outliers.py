@@ -14,7 +14,7 @@ from .parameters import FUSION, IsolatedPointParameters, OutlierParameters
 def remove_isolated_points(
     height: Floats, metres_per_px: float, parameters: IsolatedPointParameters = FUSION.isolated
 ) -> Floats:
-    """The (H, W) heights, NaN where too few of the eight neighbours mean the same surface.
+    """The (H, W) heights, NaN where too few of the eight neighbours belong to the same surface.
 
     Matching leaves none, because it removes speckles by disparity. This is for height maps of other origin and damaged
     ones, and for cells with so few points that the others do not outvote an isolated one.
@@ -55,8 +55,8 @@ def radius_outliers(
         other = padded[reach + dr : reach + dr + rows, reach + dc : reach + dc + columns]
         with np.errstate(invalid="ignore"):
             neighbours += np.abs(other - height) <= radius
-    lonely: Mask = np.isfinite(height) & (neighbours < needed_neighbours(cell, radius, parameters))
-    return lonely
+    isolated: Mask = np.isfinite(height) & (neighbours < needed_neighbours(cell, radius, parameters))
+    return isolated
 
 
 def _disc(cell: float, radius: float) -> List[Tuple[int, int]]:

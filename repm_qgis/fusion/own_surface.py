@@ -39,8 +39,8 @@ def own_surface(
     """A scene's height maps fused into cells of ``cell`` metres in the scene's CRS: the cells, and (rows, columns)
     heights in metres above the ellipsoid, NaN where there are none. ``workers`` and ``memory`` are options.
 
-    ``coarse``: each tile has the height map with the most heights alone, and of that every second pixel, which costs a
-    fifth and is enough for references whose noise is larger than that of the surface.
+    ``coarse``: only the height map with the most heights of each tile, and of it every second pixel, which takes a
+    fifth of the time and is enough for references whose noise is larger than that of the surface.
     """
     tiles = [tile for tile in scene.tiles if tile.heights]
     grid, lean = CellGrid.covering(enclosing([tile.bounds for tile in tiles]), cell), scene.lean()

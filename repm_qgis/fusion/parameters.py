@@ -49,8 +49,8 @@ class OutlierParameters(Parameters):
 
 @dataclass(frozen=True)
 class NeedleParameters(Parameters):
-    """Needles: a few cells that stand far above all others around them, and that a single map has
-    (docs/method.md, "Fusion")."""
+    """Needles: a few cells that stand far above all others around them, and that only a single map has (docs/method.md,
+    "Fusion")."""
 
     speckle_px: int = MATCHING.sgm.speckle_px  # pixels of the largest; matching removes smaller ones by this limit, too
     step_m: float = 3.0  # of height between two surfaces, as in the choice
@@ -62,13 +62,13 @@ class NeedleParameters(Parameters):
 
 @dataclass(frozen=True)
 class EvidenceParameters(Parameters):
-    """What a map says of a cell (fusion/aggregation.py; `make bench-ablation`). Gross errors were counted on scenes of
-    four kinds with true surfaces; C1 hardly depends on these values."""
+    """The evidence of a map for a cell's height (fusion/aggregation.py; `make bench-ablation`). Gross errors were
+    counted on scenes of four kinds with true surfaces; C1 hardly depends on these values."""
 
     best: float = 0.16  # standard deviation of a matched height at a correlation of 1, in units of HeightLayer
     per_score: float = 3.2  # and more for each 1 of correlation less; 2.4 does as well
     same: float = 2.5  # standard deviations within which heights mean the same surface; 2 and 3 do as well
-    rim_px: float = 2.5  # from a step down, where matching may have widened what stands above it
+    rim_px: float = 2.5  # from a step down, where matching may have widened the object above it
     step_m: float = 1.5  # of such a step, and not less than
     step_px: float = 1.5  # so much disparity
     doubtful: float = 0.5  # evidence of a height there, beside a hole, or that covers half of its cell at most
@@ -87,7 +87,7 @@ class ChoiceParameters(Parameters):
     most: float = 2.0  # of these scales that count: farther away is another surface
     near_m: float = 1.5  # of the neighbours to each side, and standard deviation of their weights; 1.0 loses courts
     contrast: float = 0.2  # of brightness, at which two cells are alike by 1 / e; 0.1 and 0.15 do as well
-    appearance: float = 12.0  # evidence of what a cell looks like, for each power of e; 6 and 16 do as well
+    appearance: float = 12.0  # evidence of a cell's appearance, for each power of e; 6 and 16 do as well
     far_m: float = 5.0  # to each side, of the cells that show what a surface looks like; 8 m loses small roofs
     step_m: float = 3.0  # of height between two surfaces
     sweeps: int = 6  # over the cells; 10 do as well
@@ -105,7 +105,7 @@ class ShadedGroundParameters(Parameters):
     reach_cells: int = 400  # and no farther: bounds the memory
     turns_deg: Tuple[float, ...] = tuple(range(-40, 41, 10))  # about the direction away from the sun
     around_m: float = 4.0  # to each side, of the places around a cell whose median it takes
-    least_share: float = 0.35  # of these places that must have a ground; with 0.1 small gaps take what is far away
+    least_share: float = 0.35  # of these places that must have a ground; with 0.1 small gaps are filled from far away
     least_elevation_deg: float = 10.0  # of the sun: with less, shadows have no end
 
 
@@ -114,7 +114,7 @@ class BrightnessParameters(Parameters):
     """How bright cells are (fusion/brightness.py)."""
 
     views: int = 6  # the most vertical ones; with 10 the time grows, and nothing else
-    hidden_cells: int = 160  # no farther away things hide a cell: bounds the time
+    hidden_cells: int = 160  # objects farther away are not tested for hiding a cell: bounds the time
 
 
 @dataclass(frozen=True)
@@ -122,8 +122,8 @@ class WallParameters(Parameters):
     """Whether a scene has walls (fusion/walls.py)."""
 
     least_tail: float = 10.0  # of the details of its maps (matching/detail.py): 14 to 140 in towns, 2 to 6 elsewhere
-    neighbours: int = 4  # of eight that a height needs to be asked: gross errors have long tails, too
-    maps: int = 9  # that are asked, evenly spread; their median decides
+    neighbours: int = 4  # of eight that a height needs to be counted: gross errors have long tails, too
+    maps: int = 9  # that are examined, evenly spread; their median decides
     window_px: int = 1000  # side of the part of each
 
 
@@ -140,7 +140,7 @@ class ErrorParameters(Parameters):
     """Where heights come from, and their likely errors (docs/method.md, "Confidence"; `make bench-confidence`)."""
 
     of_sigma: float = 0.8  # of the standard deviation of matched heights, over the root of their number
-    of_relief: float = 0.12  # of the relief around them, which a cell's own part is not known of, but not of more than
+    of_relief: float = 0.12  # of the relief around them: a height may lie anywhere in its cell; but not of more than
     relief_m: float = 4.0  # so much
     least_m: float = 0.7  # of heights that no map has, and more:
     of_background: float = 0.35  # of the relief around them, behind an occlusion
@@ -216,7 +216,7 @@ class FusionParameters(Parameters):
     visibility: VisibilityParameters = VisibilityParameters()
     step_px: float = MATCHING.occlusions.step_px  # of disparity: higher steps hide ground, as where matching fills it
     covered: float = 0.5  # of a cell: a map that covers less does not count where another covers more; chosen
-    feather_cells: int = 8  # over which tiles change into each other on both sides of a seam; chosen
+    feather_cells: int = 8  # over which tiles are blended on both sides of a seam; chosen
     block_cells: int = 512  # side of what is fused at once; bounds the memory
     hole_block_cells: int = 1024  # side of what holes are filled in at once; bounds the memory
     terrain_margin_m: float = 300.0  # by which the terrain feedback's surface extends beyond the tiles; chosen

@@ -1,8 +1,8 @@
 """Where a height comes from, and its likely error: what the confidence raster states.
 
-A height of the surface is one of its cell's maps' if it lies as near to theirs as their noise lets expect; then their
-number, their spread and their score are its own. Else it comes from the ground behind an occlusion or in a shadow, or
-from the cells beside it, and no map stands behind it. Each kind has an error of its own, compared with true surfaces
+A height of the surface is supported by its cell's maps if it agrees with theirs within their noise; then it has their
+number, their spread and their score. Otherwise it comes from the ground behind an occlusion or in a shadow, or from
+neighbouring cells, and no map supports it. Each source has its own error model, from comparisons with true surfaces
 (docs/method.md#confidence).
 """
 
@@ -35,7 +35,7 @@ class SurfaceCells:
     error: FloatImage
 
     def facts(self) -> Tuple[FloatImage, ...]:
-        """What the confidence raster has, in the order of its bands."""
+        """The confidence raster's bands, in their order."""
         return self.count, self.spread, self.score, self.source, self.error, np.float32(LE90) * self.error
 
 
@@ -49,8 +49,8 @@ def described(
 ) -> SurfaceCells:
     """The surface with the chosen heights (H, W), m, of cells with these candidates.
 
-    ``ground`` (H, W) is that of shadows, NaN = none. Relief within ``reach`` cells tells how wrong a height may be that
-    no map has. Pointing errors, which all cells share, are not included: the report states them.
+    ``ground`` (H, W) is that of shadows, NaN = none. The error of a height that no map supports follows from the relief
+    within ``reach`` cells. Pointing errors, which all cells share, are not included: the report states them.
     """
     nothing = np.full(height.shape, np.nan, np.float32)
     count, spread, score, source, error = (nothing.copy() for _ in range(5))
@@ -60,15 +60,15 @@ def described(
     unsure = ((Provenance.NEIGHBOURS, parameters.of_neighbours), (Provenance.SHADOW, parameters.of_shadow))
     kinds = [(known, unsure[0]), (known & (np.abs(height - ground) <= evidence.ground_m), unsure[1])]
     for each in (fused.second, fused.first):
-        behind = each.filled & _meant(each, height, evidence)
+        behind = each.filled & _supported(each, height, evidence)
         kinds.append((behind, (Provenance.BACKGROUND, parameters.of_background)))
     for cells, (kind, share) in kinds:
         source[cells], error[cells] = kind, (parameters.least_m + share * relief)[cells]
     for each in (fused.second, fused.first):
-        cells = (each.count > 0) & _meant(each, height, evidence)
+        cells = (each.count > 0) & _supported(each, height, evidence)
         count[cells], spread[cells], score[cells] = each.count[cells], each.spread[cells], each.score[cells]
         source[cells] = Provenance.MATCHED
-        # What others contradict is less sure.
+        # Heights that other maps contradict are less certain.
         agree = each.evidence[cells] / np.maximum(fused.evidence, each.evidence)[cells]
         own = np.float32(parameters.of_sigma) * each.sigma[cells] / (agree * np.sqrt(each.count[cells]))
         apart = np.nan_to_num(each.spread[cells]), height[cells] - each.height[cells]
@@ -76,7 +76,7 @@ def described(
     return SurfaceCells(height, count, spread, score, source, error)
 
 
-def _meant(candidate: Candidate, height: FloatImage, parameters: EvidenceParameters) -> Mask:
+def _supported(candidate: Candidate, height: FloatImage, parameters: EvidenceParameters) -> Mask:
     with np.errstate(invalid="ignore"):
         result: Mask = np.abs(height - candidate.height) <= np.float32(parameters.same) * candidate.sigma
     return result

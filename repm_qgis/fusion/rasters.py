@@ -122,7 +122,7 @@ def write_products(
 ) -> FusionFacts:
     """Write DSM, confidence and water from the surface's ``blocks``; gives what was counted, without a cloud's points.
 
-    ``folder`` is for temporary files. ``means`` take up the heights above the ellipsoid, before holes are filled.
+    ``folder`` is for temporary files. ``means`` sum the heights above the ellipsoid, before holes are filled.
     ``deviation_m`` is the standard deviation of the absolute height, m, which the rasters state.
     Raises WorkspaceError where a file cannot be written, SceneError where an image was replaced amid the work.
     """
@@ -153,7 +153,7 @@ def write_products(
         interpolated = 0
         if products.whole is not None:
             interpolated = _write_filled(products, products.whole, scene, layout, folder, parameters)
-        scene.require_same_images()  # before the products take their names: brightness was of these pixels
+        scene.require_same_images()  # before the products get their names: the intensities came from these pixels
     if not levels:
         raise EmptyResultError(f"None of {grid.shape[0] * grid.shape[1]} cells of the DSM has a matched height.")
     filled, valid = valid - matched, valid + interpolated
@@ -166,7 +166,7 @@ def write_products(
 def overlap_m2(scene: Scene, level: float) -> float:
     """The ground that two images see at a level, metres above the ellipsoid, within the area that is processed.
 
-    The scene's own area is larger: it is what they see at any altitude that was thought possible.
+    The scene's own area is larger: it is what they see at any altitude of the range.
     """
     outlines = [projected_from_geodetic(scene.crs, footprint(v.localise, v.size, level)) for v in scene.views]
     seen: ogr.Geometry = seen_twice([outlines]).Intersection(ogr.CreateGeometryFromWkt(scene.area))

@@ -76,7 +76,7 @@ def with_reference_waves(
         return scene
     progress.info(
         f"The reference '{reference.name}' shows jitter along the parallax, of up to {waves.largest_px:.2f} px. It is "
-        f"taken out: the NMAD of the differences falls from {waves.before_m:.2f} to {waves.after_m:.2f} m."
+        f"removed: the NMAD of the differences falls from {waves.before_m:.2f} to {waves.after_m:.2f} m."
     )
     return _shaken(scene, scene.registration, waves, along)
 
@@ -100,7 +100,7 @@ def _known(scene: Scene) -> Optional[Tuple[Dict[str, Tuple[float, float]], int]]
 
 
 def _differences(task: _TileTask) -> Tuple[List[MapDifferences], Along]:
-    """What the maps of a tile and the reference differ by, and the direction of the parallax in each view."""
+    """The differences between the maps of a tile and the reference, and the direction of the parallax in each view."""
     from scipy.spatial import cKDTree
 
     parameters, found = task.parameters, []
@@ -127,7 +127,7 @@ def _differences(task: _TileTask) -> Tuple[List[MapDifferences], Along]:
         x, y, height = (each[known] for each in (points.x, points.y, points.height))
         away, nearest = tree.query(np.column_stack([x, y]), distance_upper_bound=0.71 * width)
         inside = np.isfinite(away)
-        inside[inside] &= _within(task.reference, nearest[inside], x[inside], y[inside])
+        inside[inside] &= _in_support(task.reference, nearest[inside], x[inside], y[inside])
         which, size = nearest[inside], len(task.reference.xyz)
         count = np.bincount(which, minlength=size)
         usual = width**2 / (step * task.scene.gsd_m) ** 2
@@ -146,7 +146,7 @@ def _differences(task: _TileTask) -> Tuple[List[MapDifferences], Along]:
     return found, along
 
 
-def _within(reference: Reference, which: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+def _in_support(reference: Reference, which: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     """Whether places lie in the support that is nearest: a disc, or a square."""
     dx, dy = np.abs(x - reference.xyz[which, 0]), np.abs(y - reference.xyz[which, 1])
     across, down = reference.width_m

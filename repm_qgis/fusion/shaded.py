@@ -1,8 +1,7 @@
-"""Ground in the shadow of what stands on it, where the images show next to nothing.
-
-Matching has little to go by in a deep shadow, and continues the surface beside it: the roof that casts the shadow, or
-its wall. The sun's direction tells which of the surfaces beside a shadow goes on in it: on its far side, away from the
-sun, a shadow ends on the ground that it lies on. So this is one more kind of occlusion, of the ground from the sun.
+"""Ground in the shadow of objects, where the images have almost no texture. In a deep shadow, matching continues the
+surface beside it: the roof that casts the shadow, or its wall. The sun's direction shows which of the surfaces beside a
+shadow continues in it: on the far side, away from the sun, a shadow ends on the ground on which it lies. So this is
+another kind of occlusion: of the ground from the sun.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from .parameters import FUSION, ShadedGroundParameters
 from .surroundings import farthest, places
 
 SUPPORTED, WEAK, NOTHING = range(3)
-"""What is behind a height, see :func:`support`."""
+"""The image support of a height, see :func:`support`."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ def support(first: Candidate, parameters: ShadedGroundParameters = FUSION.shaded
 
 def shaded_ground(
     height: Floats,
-    behind: ByteImage,
+    supports: ByteImage,
     cell: float,
     sun: Sun,
     parameters: ShadedGroundParameters = FUSION.shaded,
@@ -71,19 +70,19 @@ def shaded_ground(
     """(H, W) heights of the ground on which shadows lie, for cells that take them; NaN for all others.
 
     Shadowed cells whose measured height is missing or weak take the height of the ground. ``height`` (H, W) is in m,
-    NaN = none, ``behind`` (H, W) as of :func:`support`; ``cell`` in m. Rows run from north to south. ``first`` are row
-    and column of the first cell on the ground: rays are the same whatever part of a DSM is asked for.
+    NaN = none, ``supports`` (H, W) as of :func:`support`; ``cell`` in m. Rows run from north to south. ``first`` are
+    row and column of the first cell on the ground: rays are the same for every part of a DSM.
 
-    The ground is that of the next cell away from the sun that is sure: lit, or in the shadow as well where the images
-    support its height. Several directions about the sun's are asked, and the second lowest end is believed, because
-    some end on roofs. On slopes nothing is known, nor beyond the DSM's border. At last cells take the median of what is
-    found around them.
+    The ground is that of the next reliable cell away from the sun: a lit cell, or a shadowed one whose height the
+    images support. Several directions about the sun's are searched, and the second lowest ground is used, because some
+    directions end on roofs. No ground is found on slopes and beyond the DSM's border. Finally each cell takes the
+    median of the grounds found around it.
     """
-    doubted = behind != SUPPORTED
+    doubted = supports != SUPPORTED
     trusted = np.where(doubted, np.float32(np.nan), height.astype(np.float32))
     steep = _steep(trusted, cell, parameters)
-    shadow = cast_shadow(trusted, cell, sun, parameters, first)  # what is wrong may cast one, or stand out of one
-    cells = _within(np.flatnonzero(shadow & doubted), np.isfinite(height), cell, sun, parameters)
+    shadow = cast_shadow(trusted, cell, sun, parameters, first)  # wrong heights may cast a shadow, or rise out of one
+    cells = _enclosed(np.flatnonzero(shadow & doubted), np.isfinite(height), cell, sun, parameters)
     sure = ~doubted & ~(shadow & steep)
     ground = np.full(height.shape, np.nan, np.float32)
     ground.ravel()[cells] = _shadow_ends(height, cells, sure, steep=steep, cell=cell, sun=sun, parameters=parameters)
@@ -92,9 +91,9 @@ def shaded_ground(
     return smooth
 
 
-def _within(cells: IntArray, known: Mask, cell: float, sun: Sun, parameters: ShadedGroundParameters) -> IntArray:
-    """Those of (N,) cells that have heights on both sides across the sun's direction: beyond the DSM's border there is
-    nothing to see a shadow by."""
+def _enclosed(cells: IntArray, known: Mask, cell: float, sun: Sun, parameters: ShadedGroundParameters) -> IntArray:
+    """Those of (N,) cells that have heights on both sides across the sun's direction: beyond the DSM's border no shadow
+    can be recognised."""
     for side in (90.0, -90.0):
         cells = cells[_next(known, cells, sun.azimuth + 180.0 + side, _reach(cell, parameters))[0] >= 0]
     return cells
@@ -122,7 +121,7 @@ def _shadow_ends(
 
 
 def _like_around(ground: FloatImage, cells: IntArray, cell: float, parameters: ShadedGroundParameters) -> FloatImage:
-    """(N,) the ground of N cells: the median of what is found around them, so that rays leave no streaks."""
+    """(N,) the ground of N cells: the median of the grounds found around them, so that rays leave no streaks."""
     around = places(parameters.around_m, cell)
     reach, least = farthest(around), math.ceil(parameters.least_share * len(around))
     padded = np.pad(ground, reach, constant_values=np.nan)
@@ -134,12 +133,12 @@ def _like_around(ground: FloatImage, cells: IntArray, cell: float, parameters: S
 
 def halo(cell: float, parameters: ShadedGroundParameters = FUSION.shaded) -> int:
     """Cells of the side ``cell`` (m) around a block on which its own cells depend, on either side."""
-    # The place where a shadow ends is as far away, and what shades that place farther by as much.
+    # The end of a shadow is one reach away, and the object that shades this place is another reach away.
     return 2 * _reach(cell, parameters) + farthest(places(parameters.around_m, cell))
 
 
 def _reach(cell: float, parameters: ShadedGroundParameters) -> int:
-    """How many cells away a shadow's end is looked for."""
+    """How many cells away the end of a shadow is searched."""
     return max(1, min(int(parameters.reach_m / cell), parameters.reach_cells))
 
 
@@ -181,8 +180,8 @@ def cast_shadow(
     parameters: ShadedGroundParameters = FUSION.shaded,
     first: Tuple[int, int] = (0, 0),
 ) -> Mask:
-    """(H, W) cells in the shadow of others; what has no height casts none, and may lie as low as what follows it.
-    ``first`` is as of :func:`shaded_ground`."""
+    """(H, W) cells in the shadow of others; a cell without a height casts no shadow, and counts as low as the next cell
+    with one. ``first`` is as of :func:`shaded_ground`."""
     rise = cell * math.tan(math.radians(sun.elevation))
 
     def in_shadow(columns: FloatImage, step: float) -> FloatImage:

@@ -1,6 +1,5 @@
-"""The surface, block by block: how bright cells are, the heights that are chosen, where each comes from, and its error.
-
-What is made in a block depends on the cells around it as far as its halo, and on nothing else of the block.
+"""The surface, block by block: intensities of cells, the heights that are chosen, their provenance and errors. The
+cells of a block depend on the cells around it as far as its halo, and on nothing else.
 """
 
 from __future__ import annotations
@@ -50,8 +49,8 @@ def blocks_of(
 
 @dataclass(frozen=True)
 class LightTask:
-    """All a worker needs to tell how bright a block is: the ``joined`` tiles on the ``grid``, the ``wide`` window in
-    which things may hide its cells, and the ``witnesses``."""
+    """All a worker needs for the intensities of a block: the ``joined`` tiles on the ``grid``, the ``wide`` window in
+    which objects may hide its cells, and the ``witnesses``."""
 
     block: Block
     wide: Window

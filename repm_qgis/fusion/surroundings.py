@@ -1,4 +1,4 @@
-"""The cells around a cell: those that tell of it, and how high they lie."""
+"""The cells around a cell: at which places, and how high they lie."""
 
 from __future__ import annotations
 

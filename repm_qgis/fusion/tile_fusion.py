@@ -110,7 +110,7 @@ def wide_file(path: str) -> str:
 
 
 def _facts_file(path: str) -> str:
-    """The file that holds what a :class:`StoredTile` says; it is written last, so that the others are whole."""
+    """The file with the facts of a :class:`StoredTile`; it is written last, so that the other files are complete."""
     return path + ".json"
 
 
@@ -195,7 +195,7 @@ def grid_height_map(
 ) -> HeightLayer:
     """A height map on the cells: what was matched and, separately, the background where an occlusion hides it.
 
-    Cells of which the background covers more than what was matched, and lies below, have the background alone.
+    Cells that the background covers more than matched points do, and lies below these, have the background only.
     """
     filled = np.flatnonzero(heights.filled)
     own, gridding = np.where(heights.filled, np.nan, heights.height), parameters.gridding

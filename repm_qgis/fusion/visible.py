@@ -42,8 +42,8 @@ def orthophoto(
 ) -> FloatImage:
     """Intensity of each cell from the first of ``views`` that sees it; NaN where none does, or without a height.
 
-    ``seen`` says which cells a view sees, where more of the surface is known than the grid; without it, what stands on
-    the grid alone hides cells.
+    ``seen`` says which cells a view sees, where more of the surface is known than the grid; without it, only objects on
+    the grid hide cells.
     """
     result = np.full(grid.shape, np.nan, dtype=np.float32)
     if not np.isfinite(height).any():
@@ -56,7 +56,7 @@ def orthophoto(
             pixels = pixels_on(view, grid, height, crs, parameters)
             values = sample_source(dataset, view.band, pixels, "bilinear")
         open_cells &= np.isfinite(values)
-        if open_cells.any():  # what hides cells takes longest to find
+        if open_cells.any():  # the visibility test takes longest
             open_cells &= (
                 seen(view)
                 if seen
@@ -121,7 +121,7 @@ def blocked(
     slope: FloatArray, grid: CellGrid, height: Floats, clearance_m: float, most_cells: Optional[int] = None
 ) -> Mask:
     """(H, W) cells whose ray to the satellite meets a higher part of the surface on its way up; ``slope`` is as of
-    :func:`slope_over`. What stands more than ``most_cells`` away blocks nothing."""
+    :func:`slope_over`. Objects more than ``most_cells`` away block nothing."""
     steepness = float(np.linalg.norm(slope))
     blocked = np.zeros(grid.shape, dtype=bool)
     relief = float(np.nanmax(height) - np.nanmin(height))

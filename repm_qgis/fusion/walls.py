@@ -1,5 +1,5 @@
-"""Whether a scene has walls: what is chosen between surfaces (``choice.py``) would take away relief where there are
-none. It is asked once, of the scene's height maps, so that no part of a scene is treated otherwise than the rest."""
+"""Whether a scene has walls: the choice between surfaces (``choice.py``) would flatten relief where there are none.
+This is decided once, from the scene's height maps, so that all parts of a scene are treated alike."""
 
 from __future__ import annotations
 

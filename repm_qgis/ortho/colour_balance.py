@@ -1,10 +1,10 @@
-"""Gains and offsets that make the colours of all views and dates one: solved together, band by band.
+"""Gains and offsets that make the colours of all views and dates equal: solved together, band by band.
 
 For each two views, quantiles of their colours at the places that both see must become equal. Quantiles and not single
-places: shadows, cars and pointing errors move single places, and would draw a regression's slope towards zero. A pull
-towards no change decides what the overlaps do not, as in Brown and Lowe 2007 (Automatic Panoramic Image Stitching using
-Invariant Features, IJCV 74, section 6, gain compensation), and the mean of all gains is one, that of all offsets zero:
-without that, the smallest contrast would fit best.
+places: shadows, cars and pointing errors move single places, and would draw a regression's slope towards zero. A prior
+of no change determines what the overlaps leave open, as in Brown and Lowe 2007 (Automatic Panoramic Image Stitching
+using Invariant Features, IJCV 74, section 6, gain compensation), and the mean of all gains is one, that of all offsets
+zero: without that, the smallest contrast would fit best.
 """
 
 from __future__ import annotations

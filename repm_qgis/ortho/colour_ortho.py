@@ -1,8 +1,8 @@
 """The orthophoto in colour, made from the finished DSM block by block.
 
-Three passes: what pansharpening needs is measured in each pair of images; colours at places all over the DSM balance
-the views; then each block chooses its views and takes their colours. What hides a cell is looked for in the whole DSM
-around a block, not in its tile alone. The result does not depend on the number of workers.
+Three passes: the parameters of pansharpening are measured in each pair of images; colours at places all over the DSM
+balance the views; then each block chooses its views and takes their colours. The visibility test of a cell looks at the
+whole DSM around the block, not at its tile only. The result does not depend on the number of workers.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def make_colour_ortho(
 ) -> None:
     """Write the orthophoto of a finished DSM on its cells.
 
-    ``folder`` is for blocks; ``require_same`` is asked when all pixels are read, before the file is made. Raises
+    ``folder`` is for blocks; ``require_same`` is called when all pixels are read, before the file is made. Raises
     OverlapError for a multispectral image that shows nothing of its panchromatic one, WorkspaceError where the file
     cannot be written.
     """

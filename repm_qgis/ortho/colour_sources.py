@@ -180,7 +180,7 @@ def colour_plan(
         return None
     without = [view.name for view in views if view.name not in {source.view.name for source in sources}]
     if without:
-        progress.info(f"No colours from {listed(without)}, which have one band and no multispectral image (XS).")
+        progress.info(f"No colours from {listed(without)}, which have one band only and no multispectral image (XS).")
     for source, bands in zip(sources, found):
         if len(bands.chosen) != len(found[0].chosen):
             first, second, counts = sources[0].view.name, source.view.name, (len(found[0].chosen), len(bands.chosen))
@@ -191,7 +191,9 @@ def colour_plan(
         order = ", ".join(f"{name} from band {band}" for name, band in zip(found[0].names, found[0].chosen))
         progress.info(f"Colours of {counted(len(sources), 'view')}: {order} (of '{sources[0].view.name}').")
     else:
-        progress.info("Nothing says which bands are red, green and blue: all of them are taken, in their order.")
+        progress.info(
+            "Neither file nor satellite says which bands are red, green and blue: all bands are used, in their order."
+        )
     kind = max((bands.kind for bands in found), key=_WIDER.index)
     return ColourPlan(tuple(sources), found[0].names, natural, kind)
 
@@ -230,7 +232,7 @@ def water_sources(
     if without:
         progress.info(
             f"Nothing says which bands of {listed(without)} are green and near infrared. Name them in the file "
-            "('green', 'near infrared'), so that they can tell water from land."
+            "('green', 'near infrared'), so that water can be distinguished from land."
         )
     return tuple(sources)
 
@@ -250,7 +252,7 @@ def _paired(
             reason = f"has two images of one acquisition with '{view.name}', '{before}' and '{path}'; leave one out"
             raise OptionError("XS", list(files), reason)
         if image.plane is not None and view.plane is not None and not image.plane.source:
-            # One height was chosen for all bands of an acquisition.
+            # The vendor projected all bands of an acquisition at one height.
             image = replace(image, plane=replace(image.plane, height=view.plane.height, source=view.plane.source))
         found[view.name] = image
     return found

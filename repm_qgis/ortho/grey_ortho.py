@@ -1,5 +1,6 @@
 """The orthophoto in greys, made from the finished DSM block by block: each cell from the most vertical view that sees
-it. What hides a cell is looked for in the whole DSM around a block; the number of workers changes nothing."""
+it. The visibility test of a cell looks at the whole DSM around its block; the result does not depend on the number of
+workers."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ from .seen_surface import Blocks, SeenSurface, write_blocks
 @dataclass(frozen=True)
 class GreyTask:
     """What a worker needs to make one block: the views, the most vertical one first, the surface, the block's ``own``
-    cells of it, and the file for their brightness."""
+    cells of it, and the file for their intensities."""
 
     views: Tuple[View, ...]
     surface: SeenSurface
@@ -47,7 +48,7 @@ def make_grey_ortho(
 ) -> None:
     """Write the orthophoto of a finished DSM on its cells, from ``views``, the most vertical one first.
 
-    ``folder`` is for blocks; ``require_same`` is asked when all pixels are read, before the file is made. Raises
+    ``folder`` is for blocks; ``require_same`` is called when all pixels are read, before the file is made. Raises
     ImageError where a view cannot be read, WorkspaceError where the file cannot be written.
     """
     side = parameters.block_cells

@@ -2,7 +2,7 @@
 
 The multispectral image has an RPC and pixels of its own. Both images are of one pass, so that their RPCs have the same
 error: the panchromatic view's pointing is carried over, by way of the ground that its own RPC gives for the pixel where
-a point is really seen. What the two images are apart after that is measured between them, and removed.
+a point is really seen. The shift that remains between the two images is measured and removed.
 
 Brovey's transform multiplies each band with the panchromatic value over the weighted sum of the bands, as GDAL's
 pansharpening does (Gillespie, Kahle and Walker 1987, Remote Sensing of Environment 22; gdal.org, "gdal_pansharpen").
@@ -94,8 +94,8 @@ def fitted(pair: Multispectral, height: float, parameters: PansharpeningParamete
 def _windows(
     pair: Multispectral, height: float, parameters: PansharpeningParameters
 ) -> Iterator[Tuple[FloatImage, FloatImage, Mask]]:
-    """Windows of the multispectral image: its bands, the panchromatic image averaged to its pixels, and what is known
-    of both."""
+    """Windows of the multispectral image: its bands, the panchromatic image averaged to its pixels, and the pixels that
+    both know."""
     size, side = pair.image.size, parameters.window_px
     ratio = max(1, round(pair.image.gsd_m / pair.pan.gsd_m))
     # Places of panchromatic pixels in a multispectral one, from its middle.

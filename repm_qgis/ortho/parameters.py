@@ -27,16 +27,16 @@ class SeamParameters(Parameters):
 
     steepness: float = 1.0  # of a view that goes 1 m sideways for each m, above the most vertical one
     hidden: float = 50.0  # of a view that does not see the cell
-    edge_cells: int = 2  # so near to what a view does not see, the DSM's edges may be wrong
+    edge_cells: int = 2  # this near to ground that a view does not see, the DSM's edges may be wrong
     edge: float = 1.0  # of a cell there
     least_witnesses: int = 3  # views that see a cell, of which the median is taken for its colour
     odd: float = 0.3  # of one standard deviation from that
-    oddest: float = 2.0  # and what is farther away counts as that
+    oddest: float = 2.0  # and colours farther away count as that
     seam: float = 0.3  # of a cell of a seam
     apart: float = 2.0  # of a seam where two views differ by one standard deviation
-    most_apart: float = 1.0  # and what differs by more counts as that
+    most_apart: float = 1.0  # and larger differences count as that
     feather_cells: int = 2  # on both sides of a seam
-    blended: float = 0.5  # standard deviations from the chosen colour: what differs by more has no part in it
+    blended: float = 0.5  # standard deviations from the chosen colour: colours that differ by more are not mixed in
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class PansharpeningParameters(Parameters):
     window_px: int = 192  # side of a window of the multispectral image in which both are compared
     windows: int = 4  # along each side of the image
     least_known: float = 0.5  # share of a window that both show
-    highpass_px: float = 4.0  # structures that are wider have no part in the shift
+    highpass_px: float = 4.0  # wider structures do not count for the shift
     least_response: float = 0.1  # of a window's phase correlation
     largest_shift_px: float = 3.0  # px of the multispectral image: more is no shift, but a mistake
     least_correlation: float = 0.5  # of the bands' weighted sum with the panchromatic image: less is worth a warning
@@ -74,7 +74,7 @@ class OrthoParameters(Parameters):
     seams: SeamParameters = SeamParameters()
     sharpening: PansharpeningParameters = PansharpeningParameters()
     block_cells: int = 512  # side of what is made at once; bounds the memory
-    reach_cells: int = 512  # how far away things that hide a cell are looked for, at most
+    reach_cells: int = 512  # how far away objects are tested for hiding a cell, at most
 
 
 ORTHO = OrthoParameters()

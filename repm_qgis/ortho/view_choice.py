@@ -3,7 +3,7 @@
 Each cell would have the view that sees it from nearest to the vertical, away from what hides the ground, and with the
 colour that most views see there (cars and shadows move). A seam between two views costs what they differ by on both of
 its sides (Kwatra et al. 2003, Graphcut Textures, ACM Transactions on Graphics 22), so that it runs along edges or where
-nobody sees it. Costs are minimised along rows and columns in both directions, and their sums decide (semi-global
+it is not visible. Costs are minimised along rows and columns in both directions, and their sums decide (semi-global
 matching, Hirschmueller 2008, IEEE TPAMI 30): a graph cut's minimum is lower, but its time grows faster than the cells.
 """
 
@@ -50,7 +50,7 @@ def chosen_views(
         total[along] += _swept(costs[along], differences[along], parameters.seam)
         across = costs[:, along].swapaxes(0, 1), differences[:, along].swapaxes(0, 1)
         total[:, along] += _swept(*across, parameters.seam).swapaxes(0, 1)
-    # Whatever the neighbours want, a cell is taken from a view that sees it.
+    # Whatever the neighbours have, a cell is taken from a view that sees it.
     total[~np.moveaxis(seen, 0, -1)] = np.inf
     return np.where(labels >= 0, np.argmin(total, axis=-1), -1).astype(np.int8)
 
@@ -58,10 +58,10 @@ def chosen_views(
 def feathered_colours(
     colours: FloatImage, labels: Labels, contrast: Floats, parameters: SeamParameters = ORTHO.seams
 ) -> FloatImage:
-    """(B, H, W) the chosen colours, which change into each other near a seam; arguments as of :func:`chosen_views`.
+    """(B, H, W) the chosen colours, blended near a seam; arguments as of :func:`chosen_views`.
 
-    Only views that see a cell have a part in it, and less the more they differ there from the chosen one: what only
-    one of two dates shows stays whole, or away. Cells that no view sees stay NaN.
+    Only views that see a cell are blended, with weights that fall with their difference from the chosen one: an object
+    that only one of two dates shows is either complete or absent. Cells that no view sees stay NaN.
     """
     chosen = np.take_along_axis(colours, np.maximum(labels, 0)[None, None].astype(np.intp), axis=0)[0]
     unit = np.asarray(contrast, np.float32)[:, None, None] * np.float32(parameters.blended)

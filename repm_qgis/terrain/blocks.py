@@ -185,7 +185,7 @@ def make_block(task: FinishTask) -> Block:
     levels = ground.levels_of(sums, level)[:-1]
     choices = search.parameters.ground
     terrain = ground.finer_surface(start, laplacian, levels, choices.stiffness, choices).astype(np.float32)
-    inside = _at(task.last, task.last.inside, task.wide, level) | np.isfinite(height)
+    inside = _on_window(task.last, task.last.inside, task.wide, level) | np.isfinite(height)
     above = height - terrain
     slope = _on_cells(task.last, task.last.slope, task.wide, level, 0)
     tall = above > choices.object_m + slope
@@ -200,7 +200,7 @@ def make_block(task: FinishTask) -> Block:
 
 def _read(task: BlockTask) -> Tuple[FloatImage, FloatArray]:
     """Heights of a block with its margin (m), and their weights: 1 at the usual error, less where more is expected, and
-    nothing where a height was interpolated."""
+    zero where a height was interpolated."""
     surface = task.search.surface
     with raster.opened(surface.path) as dataset:
         height = read_heights(dataset, task.wide)
@@ -259,8 +259,8 @@ def _on_cells(coarse: Coarse, values: FloatArray, wide: Window, level: int, to: 
     return values[top : top + coarser(wide.height, to), left : left + coarser(wide.width, to)]
 
 
-def _at(coarse: Coarse, values: Mask, wide: Window, level: int) -> Mask:
-    """What the coarse cells say of the cells in them."""
+def _on_window(coarse: Coarse, values: Mask, wide: Window, level: int) -> Mask:
+    """The values of the coarse cells, on the cells in them."""
     rows = ((wide.row + np.arange(wide.height)) >> level) - coarse.row
     columns = ((wide.col + np.arange(wide.width)) >> level) - coarse.col
     return np.asarray(values[np.ix_(rows, columns)])

@@ -1,9 +1,9 @@
-"""The surface of the ground through the cells that show it: smooth where there is none, and by their weights else.
+"""The surface of the ground through the cells that show it: smooth between them, and weighted by their expected errors.
 
 It minimises the sum of w (z - h)^2 over the cells with a height h and weight w, and of s (z - z')^2 + 2 s f z over all
 neighbours z': a stretched membrane, whose Laplacian is f where no height holds it. Where the ground is seen, f is its
-own Laplacian; below a house it goes on and fades away, so that hill tops are not cut off below houses, nor hollows
-filled. This is a spline in tension (Smith and Wessel 1990, Geophysics 55) without a system of the fourth order.
+own Laplacian; below a house it goes on and fades away, so that hill tops below houses are not cut off, and depressions
+are not filled. This is a spline in tension (Smith and Wessel 1990, Geophysics 55) without a system of the fourth order.
 
 It is solved on ever finer levels, each from the
 one before with a few relaxations (cascadic multigrid: Bornemann and Deuflhard 1996, Numer. Math. 75). The coarse levels

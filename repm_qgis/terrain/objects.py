@@ -1,9 +1,9 @@
 """What stands on the ground: houses, trees and cars, found by openings with growing windows.
 
-A morphological opening takes away what is narrower than its window. From one window to the next a house sinks to the
+A morphological opening removes everything narrower than its window. From one window to the next a house sinks to the
 ground at once, and a hill only little by little (Zhang et al. 2003, IEEE TGRS 41-4; Pingel, Clarke and McBride 2013,
-ISPRS J. 77, who also name the slope and the pits). Steep hill tops still sink by more than such a threshold says, so
-here the outline decides, too: an object has walls around it, and a hill top has none.
+ISPRS J. 77, who also name the slope and the pits). Steep hill tops still sink by more than such a threshold, so the
+outline decides too: an object has walls around it, and a hill top has none.
 
 All that a cell depends on lies within :func:`reach`, so the result does not depend on the blocks it is made in.
 """
@@ -24,7 +24,7 @@ _HIGH = np.float32(1e30)  # stands for no height where the lowest is looked for,
 
 
 def reach(cell: float, largest: float, parameters: ObjectParameters = TERRAIN.objects) -> int:
-    """How many cells (of ``cell`` m) around a cell say whether it belongs to an object of ``largest`` m or less."""
+    """How many cells (of ``cell`` m) around a cell decide whether it belongs to an object of ``largest`` m or less."""
     opening = 2 * _half_windows(cell, largest, parameters)[-1]
     outlines = opening * parameters.nearby // 2 + _cells(parameters.wall_m, cell)
     return opening + outlines + _cells(parameters.wall_m, cell) + 4 * _cells(parameters.pit_m, cell)
@@ -76,7 +76,7 @@ def _walled(
     step = _highest(sunk, side) - _lowest(np.where(known, sunk, _HIGH), side)
     walls = outline & (step > parameters.wall_noise_m + slope * 2 * side * cell)
     nearby = parameters.nearby * half
-    # Half a cell less, so that what has no outline at all (it fills all that is known) stays what it is.
+    # Half a cell less, so that cells without any outline (their object fills all known cells) keep their class.
     return np.asarray(_count(walls, nearby) >= parameters.wall_share * _count(outline, nearby) - np.float32(0.5))
 
 

@@ -37,7 +37,7 @@ class GroundParameters(Parameters):
     stiffness: float = 3.0  # at first, and of the finished surface, whose noise it halves
     seen_share: float = 0.5  # of a coarse cell that must be ground for the terrain's curvature to be measured there
     curved_m: float = 4.0  # how far the curvature is averaged
-    fading_m: float = 20.0  # and how far into what is not seen it goes on: it falls to 1/e there
+    fading_m: float = 20.0  # and how far it continues where no ground is seen: it falls to 1/e there
     relaxations: int = 6  # on each level, after which the next finer one starts (Bornemann and Deuflhard 1996)
     coarsest_relaxations: int = 240  # on a few cells: a solution
 

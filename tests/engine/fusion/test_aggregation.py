@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from repm_qgis.fusion.aggregation import HeightLayer, aggregate, objection, rim_cells
+from repm_qgis.fusion.aggregation import HeightLayer, aggregate, disagreement, rim_cells
 from repm_qgis.fusion.outliers import needed_neighbours, radius_outliers, remove_isolated_points
 from repm_qgis.fusion.parameters import FUSION
 
@@ -232,9 +232,9 @@ def test_what_a_witness_objects_to():
     """Nothing against its own height, all of its evidence beyond 2.5 standard deviations, a quarter at half of that."""
     own, evidence, sigma = (np.full(4, value, np.float32) for value in (10.0, 0.5, 0.2))
     height = np.array([10.0, 10.25, 10.6, np.nan], np.float32)
-    found = objection(height, own, evidence, sigma, FUSION.evidence)
+    found = disagreement(height, own, evidence, sigma, FUSION.evidence)
     np.testing.assert_allclose(found, [0.0, 0.125, 0.5, 0.0], atol=1e-5)
-    np.testing.assert_allclose(objection(own + 5, own * np.nan, evidence, sigma, FUSION.evidence), 0.0)
+    np.testing.assert_allclose(disagreement(own + 5, own * np.nan, evidence, sigma, FUSION.evidence), 0.0)
 
 
 def test_the_rim_is_counted_in_pixels():

@@ -1,4 +1,4 @@
-"""Means over coarse cells, taken up tile by tile, are those of the whole raster."""
+"""Means over coarse cells, summed tile by tile, are those of the whole raster."""
 
 from __future__ import annotations
 

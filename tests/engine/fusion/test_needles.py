@@ -39,7 +39,7 @@ def test_a_few_cells_far_above_all_others_are_one(shape):
     np.testing.assert_array_equal(needles(height, count, CELL, LARGEST), wanted)
 
 
-def test_a_second_map_is_a_witness():
+def test_a_second_map_is_support():
     height, count = town()
     height[50:53, 50:53] = 30.0  # a chimney
     assert needles(height, count, CELL, LARGEST).sum() == 9

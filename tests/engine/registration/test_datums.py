@@ -98,8 +98,8 @@ def test_a_geoid_is_found_where_it_alone_fits(geoids, heights):
     assert choice.shift.moved == pytest.approx([12.0, 0.0, 4.0], abs=0.05)
     assert choice.sentence == (
         "'glo30.tif' does not say what its heights refer to; the scene's heights change by +4.0 m if that is the "
-        "EGM2008 geoid, and by -45.1 m if it is the ellipsoid: they are assumed to be EGM2008 heights; give REFERENCE_DATUM "
-        "if that is wrong. With EGM96 instead, the scene's heights change by +4.7 m."
+        "EGM2008 geoid, and by -45.1 m if it is the ellipsoid: they are assumed to be EGM2008 heights; give "
+        "REFERENCE_DATUM if that is wrong. With EGM96 instead, the scene's heights change by +4.7 m."
     )
 
 
