@@ -1,7 +1,6 @@
-"""Which cells changed: every rule looks at a cell's neighbourhood only, so that blocks give what the whole would.
-
-A change has a core, which stands out by more than errors of heights, of edges and of hidden ground explain, and all
-around it what goes with it. See docs/algorithms/change.md for the rules and their sources.
+"""Which cells changed: every rule depends on a cell's neighbourhood only, so that blocks give the same result as the
+whole. A change has a core, whose difference is larger than errors of heights, of edges and of hidden ground explain,
+and around it the cells that belong to the same change. See docs/algorithms/change.md for the rules and their sources.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ class Detected:
     """What a window shows, (rows, columns) each.
 
     ``level`` of detection, m, NaN where a height is missing or interpolated. ``change`` in m, 0 where there is none,
-    NaN where it is not known. ``strength``: how many levels of flat ground the cells of cores stand out by, together
-    with their neighbours; 0 elsewhere. ``error`` of the difference, m.
+    NaN where it is not known. ``strength``: the differences of the cells of cores, together with their neighbours, in
+    levels of flat ground; 0 elsewhere. ``error`` of the difference, m.
     """
 
     level: FloatImage
@@ -54,14 +53,16 @@ def detect(
         seen = _with_hidden(top, cell_m, parameters)
         with np.errstate(invalid="ignore"):
             beyond = np.where(cells.measured & (rise > level), np.minimum(higher - seen, bottom - lower) / flat, _FAR)
-            # A new house rises above all around it, a pit lies below; where only an edge has moved, neither holds.
+            # A new house rises above everything around it, and a pit lies below; where only an edge has moved, neither
+            # is true.
             near = (rise > flat) & ((higher > top) | (bottom > lower))
             unchanged = _extreme(np.where(rise > flat, _FAR, np.float32(1)), parameters.reach_cells) > 0
         own = _agreed(np.where(np.isfinite(beyond), beyond, _FAR), parameters)
         grown = core = own > 0
         for _ in range(parameters.grown_cells):
             grown = core | (_extreme(np.where(grown, np.float32(1), _FAR), 1) > 0) & near
-        # At an edge that one DSM shows farther out, the difference is the object's whole height; what changed is not.
+        # At an edge that one DSM shows farther out, the difference is the whole height of the object, but this is no
+        # change.
         most = _extreme(np.where(core, rise, _FAR), parameters.grown_cells)
         # Matching blurs an edge: it lies where half of the height is reached, if the ground beside it is unchanged.
         grown &= ~unchanged | (rise >= np.float32(0.5) * most)
@@ -71,7 +72,8 @@ def detect(
 
 
 def _agreed(beyond: FloatImage, parameters: DetectionParameters) -> FloatImage:
-    """How far each cell stands out together with the coherent share of its neighbours; 0 where it is no core."""
+    """The difference of each cell, in levels, together with the coherent share of its neighbours; 0 where it is no
+    core."""
     radius = parameters.coherent_radius
     side = 2 * radius + 1
     least = math.ceil(parameters.coherent_share * side**2)  # of the window's cells
@@ -79,7 +81,7 @@ def _agreed(beyond: FloatImage, parameters: DetectionParameters) -> FloatImage:
     highest_first = np.pad(-beyond, radius, constant_values=-_FAR)
     around = np.stack([highest_first[rows + down, columns + right] for down in range(side) for right in range(side)])
     around.partition(least - 1, axis=0)
-    shared = -around[least - 1]  # what so many of them reach
+    shared = -around[least - 1]  # the value that this many of them reach
     result = np.zeros(beyond.shape, np.float32)
     result[rows, columns] = np.where(shared > parameters.core, np.minimum(beyond[rows, columns], shared), 0)
     return result

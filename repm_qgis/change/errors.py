@@ -1,4 +1,4 @@
-"""How far two DSMs differ where nothing changed, and over which distances their errors are alike.
+"""How much two DSMs differ where nothing changed, and over which distances their errors are correlated.
 
 The error of a difference consists of two independent parts: that of heights, which confidence rasters state (or which
 is the same everywhere), and a horizontal one, which counts as much as the ground is steep (Nuth and Kääb 2011). Both
@@ -36,7 +36,7 @@ class SlopeClass:
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """The error of a difference: ``scale`` times what is stated of its heights (metres where nothing is stated), and
+    """The error of a difference: ``scale`` times the stated error of its heights (metres where nothing is stated), and
     ``horizontal_m`` times the gradient."""
 
     scale: float
@@ -70,8 +70,8 @@ def fitted_model(
             rows.append((low, high, count, spread, stated, float(np.clip(rise, 1e-3, parameters.steepest))))
     if not rows:
         raise EmptyResultError(
-            f"Only {difference.size} cells have heights in both DSMs that were not interpolated, too few to tell what "
-            "is stable: choose DSMs of the same ground, with fewer holes or smaller cells."
+            f"Only {difference.size} cells have heights in both DSMs that were not interpolated, too few to find "
+            "stable ground: choose DSMs of the same ground, with fewer holes or smaller cells."
         )
     spreads, errors, rises = (np.array([row[index] for row in rows]) for index in (3, 4, 5))
     scale, horizontal = _explained(spreads, errors, rises)
@@ -93,7 +93,7 @@ def _known(samples: Sequence[Cells], name: str) -> FloatArray:
 def _explained(spreads: FloatArray, stated: FloatArray, rises: FloatArray) -> Tuple[float, float]:
     """Scale and horizontal error: the one from the two flattest classes, the other the median of all others.
 
-    Each is found with what the other one explains taken off; spreads of walls cannot move them far.
+    Each is found after the part that the other one explains is subtracted; spreads of walls cannot move them far.
     """
     scale, horizontal = float(np.median(spreads[:2] / stated[:2])), 0.0
     for _ in range(_ROUNDS):
@@ -109,7 +109,8 @@ def _explained(spreads: FloatArray, stated: FloatArray, rises: FloatArray) -> Tu
 
 @dataclass(frozen=True)
 class Correlation:
-    """How alike errors are: ``values`` (0..1, falling) at ``distances`` in metres; 1 at none, the last one beyond."""
+    """The correlation of errors: ``values`` (0..1, falling) at ``distances`` in metres; 1 at distance zero, the last
+    value beyond."""
 
     distances: FloatArray
     values: FloatArray

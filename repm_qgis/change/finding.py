@@ -71,7 +71,8 @@ class Found:
 
     @property
     def shown_m(self) -> float:
-        """The difference that maps and pictures show in the darkest tone, m: the usual change, or what is none."""
+        """The difference that maps and pictures show in the darkest tone, m: the usual size of changes, or the level of
+        detection."""
         size = np.abs(self.pictures["change"])
         size = size[np.isfinite(size)]
         return max(float(np.median(size)), self.level_m) if size.size else self.level_m
@@ -186,7 +187,7 @@ class _Work:
         progress.step(1.0)
 
     def _count(self, cells: Cells, level: FloatImage, model: ErrorModel, own: Window) -> None:
-        """Take up what statistics need of a block."""
+        """Add a block to the statistics."""
         self._compared += int(np.isfinite(cells.difference).sum())
         standard = _standardised(cells, model, _HISTOGRAM_HALF * HISTOGRAM_BIN)
         bins = np.floor(standard[np.isfinite(standard)] / HISTOGRAM_BIN).astype(np.int64) + _HISTOGRAM_HALF
@@ -270,7 +271,7 @@ def _standardised(cells: Cells, model: ErrorModel, most: float) -> FloatImage:
 
 
 def _strongest(change: FloatImage, factor: int) -> FloatImage:
-    """Each cell of a small picture shows a change where one of its cells has one: that of the largest size."""
+    """Each cell of a small picture shows the largest change of its cells."""
     if factor == 1:
         return change
     rows, columns = (-(-length // factor) for length in change.shape)

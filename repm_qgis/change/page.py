@@ -19,7 +19,7 @@ _MOST_ROWS = 50
 
 
 def change_page(options: ChangeOptions, found: Found) -> Report:
-    """What changed, for the analyst, from the totals to what the figures rest on."""
+    """What changed, for the analyst: from the totals to the figures that they are based on."""
     page = Report("Change between two dates", f"{options.before}, then {options.after}")
     gains, losses = found.total(True), found.total(False)
     good = (
@@ -46,8 +46,8 @@ def _totals(page: Report, options: ChangeOptions, found: Found) -> None:
     page.section("Volumes").table(
         "change | number | area, m2 | volume, m3 | standard deviation, m3",
         rows,
-        "Two of three true volumes lie within one standard deviation, where the errors of the heights are as they are "
-        "on stable ground.",
+        "Two of three true volumes lie within one standard deviation, if the heights are as accurate there as on "
+        "stable ground.",
     )
     files = [
         ("Difference (AFTER minus BEFORE)", options.output),
@@ -72,8 +72,8 @@ def _pictures(page: Report, found: Found) -> None:
     coloured = pictures.colour_map(change, -limit, limit, "diverging")
     drawn = np.where(np.isfinite(change)[..., None], coloured, drawn)
     caption = (
-        "Significant change over the grey AFTER. Red: gained. Blue: lost, in the darkest tone from "
-        f"{limit:.1f} m on. White: no height in AFTER."
+        f"Significant change over the grey AFTER. Red: gained. Blue: lost, in the darkest tone from {limit:.1f} m "
+        "upwards. White: no height in AFTER."
     )
     page.png(pictures.png_bytes(drawn), caption)
     page.svg(charts.colour_bar(pictures.RAMPS["diverging"], -limit, limit, "m"))
@@ -131,8 +131,8 @@ def _stable_ground(page: Report, options: ChangeOptions, found: Found) -> None:
     }
     page.svg(
         charts.curves(lines, "difference over its expected error", "cells (%)", "Differences against their errors"),
-        "All cells that both DSMs have. What lies beyond the level of detection is significant only where neighbours "
-        "agree, and where no edge or hidden strip explains it.",
+        "All cells that both DSMs have. A difference beyond the level of detection is significant only where "
+        "neighbours agree with it, and where no edge or hidden strip explains it.",
     )
     middle = [(each.low + each.high) / 2 for each in model.classes]
     slopes = {
@@ -151,7 +151,7 @@ def _stable_ground(page: Report, options: ChangeOptions, found: Found) -> None:
             {"correlation": (np.concatenate([[0.0], alike.distances]), np.concatenate([[1.0], alike.values]))},
             "distance (m)",
             "correlation",
-            "How alike errors are",
+            "Correlation of errors",
             xlim=(0.0, reach),
         ),
         "From the variogram of stable ground. The uncertainty of volumes counts only as many cells as are independent.",

@@ -14,11 +14,11 @@ from ..contracts.parameters import Parameters
 
 @dataclass(frozen=True)
 class ErrorModelParameters(Parameters):
-    """How far two DSMs differ where nothing changed."""
+    """How much two DSMs differ where nothing changed."""
 
     slope_edges_deg: Tuple[float, ...] = (0.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0, 75.0, 90.0)  # classes; chosen
     least_cells: int = 300  # of a class that counts; chosen
-    stable: float = 3.0  # standard deviations: what differs more is not stable ground; the usual limit of outliers
+    stable: float = 3.0  # standard deviations: larger differences are not stable ground; the usual limit of outliers
     least_error_m: float = 0.01  # no two DSMs agree better; chosen
     least_horizontal_cells: float = 0.25  # no edge of two DSMs agrees better; chosen
     steepest: float = 30.0  # gradient, m per m, that counts: walls of one cell have any
@@ -34,8 +34,8 @@ class DetectionParameters(Parameters):
 
     level: float = 1.96  # standard deviations: 95 % (Lane et al. 2003; Wheaton et al. 2010)
     core: float = 2.0  # levels of detection that the core of a change exceeds: errors of matching have heavy tails
-    support: float = 4.0  # levels that a change stands out by where several height maps agree; chosen
-    support_alone: float = 8.0  # the same where a height has one map, or nothing tells how many: errors leave no trace
+    support: float = 4.0  # levels that a change must exceed where several height maps agree; chosen
+    support_alone: float = 8.0  # the same where a height has one map or an unknown number: errors cannot be recognised
     support_share: float = 0.25  # of MIN_AREA: on so large an area a change has this support; chosen
     reach_cells: int = 2  # by which matching moves edges: a core is beyond the other DSM's extremes within it
     hidden_gradient: float = 3.0  # a wall hides a strip as wide as a third of its height from views beside the nadir
@@ -44,13 +44,13 @@ class DetectionParameters(Parameters):
     coherent_share: float = 0.6  # of its cells; chosen
     grown_cells: int = 4  # a change reaches so far beyond its core; edges are blurred by two cells
     filled: float = 0.25  # a source above is not matched: between the codes 0 and 1, as it is interpolated
-    witnesses: float = 0.75  # of the usual number of height maps: fewer agree on a plain roof whose height is wrong
-    least_witnesses: float = 2.0  # height maps: one has nothing that it could disagree with
+    usual_maps: float = 0.75  # of the usual number of height maps: fewer agree on a plain roof whose height is wrong
+    least_maps: float = 2.0  # height maps: a single one cannot be checked
     block_cells: int = 1024  # side of a block
 
     @property
     def halo_cells(self) -> int:
-        """How far from a cell what decides over it can lie."""
+        """The largest distance of a cell that another cell's result depends on."""
         strip = 2 << self.hidden_steps  # an axis' reach and that of both diagonals
         return self.reach_cells + 2 * strip + self.coherent_radius + 2 * self.grown_cells + 1
 

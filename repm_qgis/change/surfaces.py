@@ -31,7 +31,7 @@ class Cells:
 
     ``before``, ``after`` in m, NaN = none. ``error`` is the expected error of their difference as the confidence
     rasters state it, m, 1 everywhere without these, NaN where a height is interpolated. ``measured``: both heights are
-    matched, not filled in. ``support``: how many levels of detection a change must stand out by; infinite where fewer
+    matched, not filled in. ``support``: how many levels of detection a change must exceed; infinite where fewer
     height maps agree than is usual in one of the DSMs. ``gradient`` is that of the steeper one, m per m, NaN beside
     holes.
     """
@@ -86,7 +86,7 @@ class Surfaces:
                     self._sources[index] = HeightWarper(dataset, flat, band=bands.source)
                 if bands.maps:
                     self._counts[index] = HeightWarper(dataset, flat, band=bands.maps)
-        self._least_counts = [parameters.witnesses * self._usual(each) for each in self._counts]
+        self._least_counts = [parameters.usual_maps * self._usual(each) for each in self._counts]
 
     @property
     def warnings(self) -> List[str]:
@@ -119,13 +119,13 @@ class Surfaces:
         return Cells(before, after, error, measured, self._support(cells), steep)
 
     def _support(self, cells: Grid) -> FloatImage:
-        """Where one height map has a height, or nothing tells how many, an error of matching leaves no trace."""
+        """Where one height map has a height, or the number is unknown, an error of matching cannot be recognised."""
         plan = self._parameters
         support = np.full(cells.size[::-1], plan.support if self.stated else plan.support_alone, np.float32)
         for warper, least, move in zip(self._counts, self._least_counts, (Alignment("none"), self.alignment)):
             if warper is not None:
                 count = self._read(warper, cells, move)
-                alone = count < plan.least_witnesses
+                alone = count < plan.least_maps
                 needed = np.where(alone, np.float32(plan.support_alone), np.float32(plan.support))
                 support = np.maximum(support, np.where(count >= least, needed, np.float32(np.inf)))
         return support
@@ -149,7 +149,7 @@ class Surfaces:
 
 
 def lay_on(surfaces: Surfaces, method: str, stable: float, progress: Progress) -> Alignment:
-    """What lays AFTER onto BEFORE: found from all cells, then again from those that did not change.
+    """The shift of AFTER onto BEFORE: found from all cells, then again from those that did not change.
 
     ``method`` is that of :func:`~repm_qgis.evaluation.coregistration.align`; ``stable`` are the standard deviations
     beyond which a difference is no longer one of stable ground. Raises EmptyResultError.
@@ -168,12 +168,12 @@ def lay_on(surfaces: Surfaces, method: str, stable: float, progress: Progress) -
     if method == "none":
         return found
     steady = [(after, _steady(found.applied(after, surfaces.cell), before, stable)) for after, before in patches]
-    # Both NMADs are those of steady cells: with what changed in one of them, the move would seem to gain more.
+    # Both NMADs are those of unchanged cells: with changed cells in one of them, the shift would seem to gain more.
     return align(method, steady, surfaces.cell, progress.check_cancelled)
 
 
 def _steady(after: FloatImage, before: FloatImage, stable: float) -> FloatImage:
-    """BEFORE without the cells in which the difference is far from what is usual."""
+    """BEFORE without the cells whose difference is far from the usual one."""
     away = np.abs(after - before)
     known = away[np.isfinite(away)]
     most = stable * NMAD_FACTOR * float(np.median(known)) if known.size else math.inf

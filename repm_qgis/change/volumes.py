@@ -209,7 +209,7 @@ class Total:
 
 
 def total_of(changes: Sequence[Changed], offset_m: float) -> Total:
-    """The sum of changes, whose errors are independent but for the common offset."""
+    """The sum of changes, whose errors are independent apart from the common offset."""
     area, volume = (float(sum(getattr(each, name) for each in changes)) for name in ("area", "volume"))
     own = sum(each.deviation**2 - (each.area * offset_m) ** 2 for each in changes)
     return Total(len(changes), area, volume, math.sqrt(max(own, 0.0) + (area * offset_m) ** 2))

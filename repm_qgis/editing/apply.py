@@ -1,4 +1,4 @@
-"""Edits applied to a DSM, one after the other, each on what those before it left.
+"""Edits applied to a DSM, one after the other, each to the result of those before it.
 
 The DSM is copied in blocks to a raster, and each edit changes the blocks that it covers: memory does not grow with the
 DSM, and neither the blocks nor their order change a byte.
@@ -51,7 +51,7 @@ class Surface:
         self._progress, self._parameters = progress, parameters
 
     def apply(self, edit: Edit, shape: Shape) -> Applied:
-        """Apply one edit; raises EmptyResultError for one that has nothing to take its heights from."""
+        """Apply one edit; raises EmptyResultError for one that finds no heights to use."""
         window = shape.window(self._grid)
         if window is None:
             self._progress.warn(f"Edit {edit.number} lies outside the DSM: it changes nothing.")
@@ -127,7 +127,7 @@ class Surface:
         known = np.isfinite(line[:, 2])
         if not known.any():
             raise EmptyResultError(
-                f"Edit {edit.number} is a breakline of which no vertex has a height: draw it where the DSM has "
+                f"Edit {edit.number} is a breakline whose vertices have no heights: draw it where the DSM has "
                 "heights, or give it 3-D vertices."
             )
         along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line[:, :2], axis=0).T))])
@@ -221,7 +221,7 @@ class Surface:
             )
 
     def _write(self, own: Window, height: FloatImage, covered: Mask) -> None:
-        """Write heights, and what the confidence says of the cells that an edit covers."""
+        """Write heights, and the confidence of the cells that an edit covers."""
         self._heights.write(height.astype(np.float32), own.col, own.row)
         if self._confidence is None:
             return

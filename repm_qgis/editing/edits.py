@@ -16,7 +16,7 @@ from ..contracts.errors import InputTableError
 from ..files.vector import file_and_layer, open_vector, write_layer
 
 OPERATIONS = ("remove", "fill", "set", "flatten", "breakline")
-"""What an edit does: takes heights away, fills from the rim, sets a value, flattens water, keeps a breakline."""
+"""What an edit does: removes heights, fills from the rim, sets a value, flattens water, keeps a breakline."""
 
 FIELDS: Dict[str, type] = {"number": int, "operation": str, "value": float, "width": float, "enabled": int, "made": str}
 MOST_WIDTH_M = 10_000.0
@@ -29,7 +29,7 @@ _AREAS = (ogr.wkbPolygon, ogr.wkbMultiPolygon)
 @dataclass(frozen=True)
 class Edit:
     """One record. ``geometry`` is ISO WKB in the layer's CRS; ``value`` in m, None where the operation finds it, and
-    ``width`` of a line in m. ``made`` says when, in ISO 8601, for people."""
+    ``width`` of a line in m. ``made`` is the time in ISO 8601, for information only."""
 
     number: int
     operation: str

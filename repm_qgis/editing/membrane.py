@@ -1,8 +1,8 @@
 """A hole filled from its rim with the membrane that is stretched over it: Laplace's equation with the rim's heights.
 
 This is the guided interpolation of Pérez, Gangnet and Blake 2003 (ACM Transactions on Graphics 22-3) without a guidance
-field: no height within is above the highest of the rim or below the lowest, and nothing has to be chosen. Each cell is
-the mean of its four neighbours; beyond the raster's border, and beside cells without a height, there is none.
+field: no height within is above the highest of the rim or below the lowest, and there are no parameters to choose. Each
+cell is the mean of its four neighbours; beyond the raster's border, and beside cells without a height, there is none.
 
 The system is solved with conjugate gradients and one cycle over ever coarser grids as preconditioner (Braess 1995,
 Computing 55): a coarse cell stands for 2 x 2 cells, and half of the links that cross its border are its own.
@@ -116,7 +116,7 @@ class _Level:
         return self.own * values - self.neighbours(values)
 
     def coarser(self) -> _Level:
-        rim = self.applied(np.ones_like(self.own))  # what is left of the sum without the links within
+        rim = self.applied(np.ones_like(self.own))  # the rest of the sum, without the links inside
         crossing = self.right[:, 1::2], self.below[1::2].T  # links between cells of different coarse ones
         right, below = (np.add.reduceat(links, range(0, len(links), 2)) for links in crossing)
         return self.with_own(0.5 * right, 0.5 * below.T, 0.5 * halved(rim))

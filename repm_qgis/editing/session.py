@@ -1,4 +1,4 @@
-"""The edits of a DSM in the GeoPackage beside it: each change is written at once, so that what was drawn is kept."""
+"""The edits of a DSM in the GeoPackage beside it: each change is written at once, so that nothing drawn is lost."""
 
 from __future__ import annotations
 
@@ -86,6 +86,6 @@ class DsmEdits:
         write_edits(self.path, edits, self.crs)
         try:
             self.edits = read_edits(self.path).edits
-        except Exception:  # what was drawn is no edit: the file is as it was
+        except Exception:  # the drawing is no valid edit: the file stays unchanged
             write_edits(self.path, before, self.crs)
             raise

@@ -1,4 +1,4 @@
-"""A STAC item beside a DSM: what catalogues, and programs that read them, need to know of it and its products.
+"""A STAC item beside a DSM: the facts about it and its products that catalogues, and programs that read them, need.
 
 The item is of STAC 1.0.0 with the extensions Projection, Raster and Processing, each 1.1.0. It names its files from
 its own folder, so that all can be moved together. https://github.com/radiantearth/stac-spec

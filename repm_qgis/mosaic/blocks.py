@@ -77,7 +77,8 @@ def measure_pair(task: PairTask) -> Optional[Overlap]:
 
 
 def _displacement(task: PairTask) -> Optional[Tuple[float, float]]:
-    """How far the second DSM lies to the east and north of the first, m; None where their relief does not say."""
+    """How far the second DSM lies to the east and north of the first, m; None where the relief is too weak to find
+    it."""
     choices, cell = task.parameters, min(cell_metres(task.target))
     factor = max(1, math.ceil(choices.displaced_cell_m / cell))
     windows = _patches(task.window, choices.displaced_patch_cells * factor, choices.displaced_patches)

@@ -43,7 +43,7 @@ class Dsm(Surface):
     """A surface with the band of its expected error, and its place in the mosaic.
 
     ``ratio`` is how many of its cells one cell of the mosaic is wide, ``deviation`` the standard deviation of its
-    absolute height, m (None: it does not say).
+    absolute height, m (None: not stated).
     """
 
     band: int = 0
@@ -73,8 +73,8 @@ class Layout:
 
 @dataclass(frozen=True)
 class Found:
-    """A DSM's frame, what its heights refer to, and the standard deviation of its absolute height, m (None: it does
-    not say)."""
+    """A DSM's frame, the datum of its heights, and the standard deviation of its absolute height, m (None: not
+    stated)."""
 
     grid: Grid
     datum: Optional[HeightDatum]
@@ -93,7 +93,7 @@ def layout_of(options: MosaicOptions, surfaces: Sequence[Surface], progress: Pro
     ratio = max(_ratio(each.grid, cell) for each in found)  # by the finest of all
     if ratio < MOSAIC.finest_cell:
         finest = f"{1.001 * MOSAIC.finest_cell * cell / ratio:.3g} m, a quarter of the finest DSM's cells"
-        raise OptionError("RESOLUTION", options.resolution, f"must be at least {finest}: finer cells hold nothing more")
+        raise OptionError("RESOLUTION", options.resolution, f"must be at least {finest}: finer cells add no detail")
     boxes = [_bounds_in(each.grid, crs) for each in found]
     west, north = corner
     whole = enclosing(boxes)
@@ -152,7 +152,7 @@ def _common_datum(paths: Sequence[str], found: Sequence[Found], progress: Progre
         more = f" and {len(silent) - 1} more" if len(silent) > 1 else ""
         others = known[0][1].name if known else "one datum, which is unknown"
         text = f"'{silent[0]}'{more} do not state" if more else f"'{silent[0]}' does not state"
-        progress.warn(f"{text} a vertical datum: all heights are taken to refer to {others}.")
+        progress.warn(f"{text} a vertical datum: all heights are assumed to refer to {others}.")
     return known[0][1] if known else None
 
 

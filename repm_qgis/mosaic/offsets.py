@@ -24,7 +24,8 @@ _LEAST_STATED_M = 0.01  # no DSM's absolute height is known better
 class Overlap:
     """Two DSMs by their numbers: the cells that both have, and the median and NMAD of first - second there, m.
 
-    ``displaced`` is how far the second lies east and north of the first, m; None where their relief does not say.
+    ``displaced`` is how far the second lies east and north of the first, m; None where the relief is too weak to find
+    it.
     """
 
     first: int
@@ -35,7 +36,7 @@ class Overlap:
     displaced: Optional[Tuple[float, float]] = None
 
     def after(self, added: FloatArray) -> float:
-        """The median that is left once the offsets are added, m."""
+        """The median difference after the offsets are added, m."""
         return float(self.median + added[self.first] - added[self.second])
 
 
@@ -43,7 +44,7 @@ class Overlap:
 class Offsets:
     """What is to be added to each DSM, m, and its standard deviation; 0 where a DSM is fixed or overlaps none.
 
-    ``groups`` are the DSMs that hang together by their overlaps; ``anchored`` says of each whether one is fixed.
+    ``groups`` are the DSMs that overlaps connect; ``anchored`` says for each group whether it has a fixed DSM.
     """
 
     added: FloatArray

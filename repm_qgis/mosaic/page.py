@@ -105,11 +105,11 @@ def _overlaps(page: Report, layout: Layout, overlaps: Sequence[Overlap], offsets
         beside = ["–"] if overlap.displaced is None else fixed(float(np.hypot(*overlap.displaced)))
         rows.append([*numbers, overlap.cells, *medians, *fixed(overlap.nmad), *beside])
     page.section("Overlaps").table(
-        "first | second | cells, about | median before, m | median after, m | NMAD, m | to the side, m",
+        "first | second | cells, about | median before, m | median after, m | NMAD, m | horizontal shift, m",
         rows,
         "Heights of the first DSM minus those of the second, before and after the offsets are added, worst first. The "
-        "NMAD is the spread of the differences about their median; an offset does not change it. To the side: how far "
-        "the two lie beside each other, as their relief shows it (–: too little relief); it is not corrected.",
+        "NMAD is the spread of the differences about their median; an offset does not change it. Horizontal shift: "
+        "how far the second lies beside the first, found from the relief (–: too little relief). It is not corrected.",
     )
     for name, values in (
         ("before", [overlap.median for overlap in overlaps]),

@@ -19,11 +19,11 @@ class OffsetParameters(Parameters):
     most_m: float = 10.0  # by which a DSM is moved without a warning: without ground control images are off by metres
     apart_m: float = 250.0  # of two DSMs' medians, at most: vertical datums differ by 107 m, and nothing else by more
     unexpected: float = 3.0  # standard deviations that two DSMs state, by which they may differ without a warning; with
-    other_m: float = 1.0  # what no DSM states, such as leaves that have grown and errors of matching
-    displaced_patch_cells: int = 128  # side of a part in which a shift to the side is looked for: up to a quarter of it
+    other_m: float = 1.0  # the errors that no DSM states, such as leaves that have grown and errors of matching
+    displaced_patch_cells: int = 128  # side of a part in which a horizontal shift is searched: up to a quarter of it
     displaced_cell_m: float = 2.0  # width of its cells, at least, so that shifts of 60 m are found
     displaced_patches: int = 6  # of an overlap, evenly spread, at most
-    displaced_gain: float = 0.8  # of the mean deviation that a shift leaves, at most; else it explains nothing
+    displaced_gain: float = 0.8  # of the mean deviation, at most, after a shift; otherwise it explains nothing
     most_displaced_m: float = 2.0  # to the side without a warning; and so many cells of the mosaic
     most_displaced_cells: float = 2.0
     huber: float = 1.345  # standard deviations: 95 % efficiency (Huber and Ronchetti, Robust Statistics)
@@ -32,7 +32,7 @@ class OffsetParameters(Parameters):
 
 @dataclass(frozen=True)
 class SeamParameters(Parameters):
-    """Which DSM a cell has its height from, and how neighbouring ones change into each other. All are chosen."""
+    """From which DSM a cell has its height, and how neighbouring DSMs are blended. All are chosen."""
 
     tolerance: float = 2.5  # expected errors of both together: heights this close mean the same surface (as in fusion)
     least_error_m: float = 0.02  # of a height: no DSM is better

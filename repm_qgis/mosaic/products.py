@@ -111,7 +111,7 @@ def write_mosaic(
     parameters: MosaicParameters,
     progress: Progress,
 ) -> None:
-    """Write the rasters with their styles; they take their names when all of them are whole.
+    """Write the rasters with their styles; they get their names when all of them are complete.
 
     ``folder`` is for what lies between, and its name is the fingerprint of the mosaic. Raises WorkspaceError.
     """

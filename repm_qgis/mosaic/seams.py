@@ -1,13 +1,14 @@
-"""From which DSM each cell of a mosaic has its height, and how neighbouring DSMs change into each other.
+"""From which DSM each cell of a mosaic has its height, and how neighbouring DSMs are blended.
 
 Every cell belongs to the DSM inside which it lies farthest, measured from the borders and holes of each and divided by
-its expected error: a Voronoi diagram of the areas (Pan, Wang and Li 2009, IEEE TGRS 47-6). Where the seam crosses what
-the DSMs show differently (a tree, a displaced wall, a new house), the whole object goes to one of them, so that seams
-run where the surfaces agree (as Chon, Kim and Lin 2010, ISPRS J. 65-1, ask for). Along seams heights are averaged with
-weights that change from one DSM to the other and fall with the squared expected error, but only where they mean the
-same surface, all of them within half of the tolerance and none beyond it: a roof is never averaged with the ground.
+its expected error: a Voronoi diagram of the areas (Pan, Wang and Li 2009, IEEE TGRS 47-6). Where the seam crosses an
+object that the DSMs show differently (a tree, a displaced wall, a new house), the whole object goes to one of them, so
+that seams run where the surfaces agree (as Chon, Kim and Lin 2010, ISPRS J. 65-1, ask for). Along seams heights are
+averaged with weights that change from one DSM to the other and fall with the squared expected error, but only where
+they belong to the same surface, all of them within half of the tolerance and none beyond it: a roof is never averaged
+with the ground.
 
-All that a cell takes is known within :func:`reach`, so a mosaic does not depend on the blocks it is made in.
+All data that a cell depends on lie within :func:`reach`, so a mosaic does not depend on the blocks it is made in.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ def reach(parameters: SeamParameters = MOSAIC.seams) -> int:
 
 
 def without_small_holes(known: Mask, parameters: SeamParameters = MOSAIC.seams) -> Mask:
-    """Where a surface is known but for holes that are small enough to be passed over."""
+    """Where a surface is known, with holes that are small enough filled."""
     side = 2 * parameters.closed_cells + 1
     filled: Mask = known | (cv2.blur(known.astype(np.float32), (side, side)) >= 0.5)
     return filled
@@ -128,7 +129,7 @@ def _around_objects(
 
 
 def _feathered(heights: FloatImage, errors: FloatImage, source: IntArray, parameters: SeamParameters) -> FloatImage:
-    """The heights of the cells' DSMs, which change into those of neighbouring ones along the seams."""
+    """The heights of the cells' DSMs, blended with those of neighbouring DSMs along the seams."""
     width = 2 * parameters.feather_cells
     side = (width + 1, width + 1)
     height, error = _taken(heights, source), _taken(errors, source)
@@ -136,7 +137,7 @@ def _feathered(heights: FloatImage, errors: FloatImage, source: IntArray, parame
     for number, (other, other_error) in enumerate(zip(heights, errors)):
         known = np.isfinite(other)
         share = cv2.blur(cv2.blur(((source == number) & known).astype(np.float32), side), side)
-        # Nor do heights change at once where a DSM ends or has a hole.
+        # Heights do not change abruptly either where a DSM ends or has a hole.
         share *= np.minimum(to_unknown(known) / np.float32(width), np.float32(1))
         gap = other - height
         with np.errstate(invalid="ignore"):

@@ -83,10 +83,8 @@ def _costs(scaled: FloatImage, seen: Mask, steepness: Sequence[float], parameter
     views = len(scaled)
     costs = np.empty(seen.shape[1:] + (views,), np.float32)
     middle = None
-    if views >= parameters.least_witnesses:
-        middle = np.stack(
-            [median_of_known(scaled[:, band], parameters.least_witnesses) for band in range(len(scaled[0]))]
-        )
+    if views >= parameters.least_views:
+        middle = np.stack([median_of_known(scaled[:, band], parameters.least_views) for band in range(len(scaled[0]))])
     least = min(steepness)
     window = np.ones((2 * parameters.edge_cells + 1,) * 2, np.uint8)
     for view in range(views):

@@ -1,8 +1,8 @@
 """Which points of the height maps are in the cloud: those on the DSM, and those on the walls between its cells.
 
 A cell has one height, that of a roof or of the ground before it. A point of the facade between them lies metres from
-both. It is kept if it lies between the lowest and the highest of the cells around it, farther from each than matching
-errs, and if the height map goes on there: wrong matches in mid-air stand alone.
+both. It is kept if it lies between the lowest and the highest of the cells around it, farther from each than the error
+of matching, and if the height map has neighbours there: wrong matches in mid-air are isolated.
 """
 
 from __future__ import annotations

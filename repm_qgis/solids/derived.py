@@ -26,7 +26,7 @@ class FinishedDsm:
 
 
 def make_derived(finished: FinishedDsm, progress: Progress) -> Iterator[Tuple[Product, str, Optional[str]]]:
-    """Make what was asked for; gives each product with its path and the file in it that QGIS opens.
+    """Make the requested products; gives each product with its path and the file in it that QGIS opens.
 
     A maker's ``make(finished, path, progress)`` gives that file, or None where there was nothing to write.
     """

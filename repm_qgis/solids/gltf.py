@@ -1,7 +1,7 @@
 """The DSM's mesh as glTF in one binary file (GLB), with the orthophoto as its picture: for the web, games and CAD.
 
 Coordinates are metres from the middle of the DSM in single precision, as glTF has no other: x to the east, y up, z to
-the south. The middle, its CRS and what the heights are above are in ``asset.extras``, so that the mesh can be put back.
+the south. The middle, its CRS and the datum of the heights are in ``asset.extras``, so that the mesh can be put back.
 
 References
 ----------

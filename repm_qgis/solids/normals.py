@@ -1,7 +1,7 @@
 """Normals of matched points: the planes of their neighbours in the same height map, turned to the satellite.
 
 A pair sees a roof and the ground before it as two surfaces, and the wall between them is a third one: neighbours are
-looked for on the same of these, and what is on a wall has a horizontal normal.
+looked for on the same of these, and points on a wall have a horizontal normal.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The DSM's mesh as OBJ, with its material and the orthophoto as picture in two files beside it.
 
 Coordinates are metres east, north and up from the middle of the DSM: readers of OBJ hold single precision. The middle,
-its CRS and what the heights are above are in comments.
+its CRS and the datum of the heights are in comments.
 
 References
 ----------

@@ -27,7 +27,7 @@ class Paint:
     limits: Tuple[Tuple[float, float], ...]
 
     def cells(self, window: Window) -> Colours:
-        """(H, W, 3) colours of the cells; those without one take the nearest one's in the window, black of none."""
+        """(H, W, 3) colours of the cells; cells without one take the nearest colour in the window, or black."""
         from scipy import ndimage
 
         planes = [read(self.dataset, window, band) for band in self.bands]

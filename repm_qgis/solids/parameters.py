@@ -40,7 +40,7 @@ class EptParameters(Parameters):
 class SimplificationParameters(Parameters):
     """Meshes of fewer vertices than the DSM has cells."""
 
-    lost: float = 0.3  # squared distance at which a cell counts that a hole takes with it, by its triangle's; tuned
+    lost: float = 0.3  # squared distance, in its triangle's, that counts for a cell which is lost to a hole; tuned
     negligible_m2: float = 1e-4  # sum of squared distances: a cell is not needed that is one centimetre off; chosen
     root_cells: int = 256  # side of the largest squares, longer where few vertices are wanted; a power of two
     cells: int = 1 << 24  # from which vertices are chosen; bounds the memory

@@ -22,7 +22,7 @@ _LONGEST = 1000  # bytes of a line: CloudCompare 2.11 ends at 1024
 def header(crs: str, heights: str, elements: Sequence[Tuple[str, int, Sequence[str]]]) -> bytes:
     """The header of elements: their names, numbers and lines of properties. It is as long for any numbers.
 
-    MDAL, which reads meshes for QGIS, takes the CRS from a comment "crs: WKT". ``heights`` is what they are above.
+    MDAL, which reads meshes for QGIS, takes the CRS from a comment "crs: WKT". ``heights`` names their datum.
     """
     lines = ["ply", "format binary_little_endian 1.0", f"comment crs: {_wkt(crs)}"]
     lines.append(f"comment heights: metres above the {heights}")

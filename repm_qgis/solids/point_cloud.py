@@ -58,7 +58,7 @@ def created_cloud(
 
     LAS: format 6, or 7 where the points are ``coloured``; coordinates to the millimetre, relative to ``origin`` (x, y,
     height); scores as intensities 0..65535; ``normals`` as extra bytes. PLY: coordinates in double precision, colours
-    of 8 bits, and scores 0..1; ``heights`` is what they are above. Raises OptionError for another extension,
+    of 8 bits, and scores 0..1; ``heights`` names their datum. Raises OptionError for another extension,
     MissingPackageError without laspy for LAS, WorkspaceError where the file cannot be written.
     """
     require_cloud(path)

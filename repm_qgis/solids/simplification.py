@@ -1,8 +1,8 @@
 """Which cells of a DSM are enough for a mesh of so many vertices, and the triangles between them.
 
 Triangles are right-angled, and are halved at the middle of their longest side. Each cell of the grid is the middle of
-one such side, of two triangles, its diamond. The error of a cell is what the diamond's cells lie away from these two
-triangles, squared and summed, and not less than the errors of the cells that need it as a corner. All cells above one
+one such side, of two triangles, its diamond. The error of a cell is the sum of squared distances of the diamond's cells
+from these two triangles, and not less than the errors of the cells that need it as a corner. All cells above one
 threshold are then a mesh without cracks. Errors are computed for all cells of a level together, from fine to coarse.
 
 References
@@ -37,10 +37,11 @@ _GATHERED = 1 << 18  # cells below triangles that are looked at together; bounds
 def reduced_lattice(
     dataset: gdal.Dataset, max_vertices: int, parameters: SolidsParameters, progress: Progress
 ) -> Tuple[Lattice, int, int]:
-    """The cells of a DSM that give a near mesh of at most ``max_vertices`` (0: no limit), their number and all cells'.
+    """The cells of a DSM that give a near mesh of at most ``max_vertices`` (0: no limit), their number, and that of all
+    cells.
 
     Where a DSM has more cells than memory is planned for, they are chosen from every second, third, ... row and column.
-    So they are where no triangle is free of holes.
+    The same is done where no triangle is free of holes.
     """
     block, simple = parameters.mesh_block_cells, parameters.simplification
     lattice, vertices = thinned(dataset, 0, block, progress)
@@ -77,7 +78,7 @@ def _kept(lattice: Lattice, limit: int, parameters: SimplificationParameters) ->
     del ranked, errors
     corners = _triangles(used, heights, root)
     used[:] = False
-    used[corners[..., 0], corners[..., 1]] = True  # those around which there are but holes have no triangle
+    used[corners[..., 0], corners[..., 1]] = True  # cells with only holes around them have no triangle
     numbers = np.cumsum(used, dtype=np.int32).reshape(used.shape) - 1
     return Kept(used[: shape[0], : shape[1]], numbers[corners[..., 0], corners[..., 1]])
 
@@ -109,7 +110,7 @@ def _errors(
 
 def _steepness(heights: FloatImage, cell_m: float) -> FloatImage:
     """Squared distance from a slope by squared difference of height, by the largest step to a neighbour: on a wall, a
-    mesh that is metres too low is decimetres away. Cells without a height count nothing."""
+    mesh that is metres too low is decimetres away. Cells without a height do not count."""
     rise = np.zeros(heights.shape, np.float32)
     for a, b in (((slice(-1),), (slice(1, None),)), ((slice(None), slice(-1)), (slice(None), slice(1, None)))):
         step = np.nan_to_num(np.abs(heights[b] - heights[a]))

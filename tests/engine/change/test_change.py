@@ -118,7 +118,7 @@ def test_a_heap_and_a_pit_are_found_with_their_volumes(dates, witnessed, tmp_pat
     for style in ("s.qml", "d.qml"):  # as in the report: the usual change has the darkest tone, noise is pale
         most = float(re.search(r'classificationMax="([^"]*)"', (tmp_path / style).read_text(encoding="utf-8"))[1])
         assert 2 < most < 3.2
-    assert "What lies beyond the level of detection" in (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "A difference beyond the level of detection" in (tmp_path / "r.html").read_text(encoding="utf-8")
 
 
 def test_nothing_changed_between_two_dsms_of_one_date(tmp_path, told):

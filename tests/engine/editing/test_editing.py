@@ -301,7 +301,7 @@ def test_what_cannot_be_done_is_said_and_leaves_nothing(tmp_path):
     for operation, said in (("fill", "that no heights surround"), ("flatten", "give its field 'value'")):
         with pytest.raises(EmptyResultError, match=said):
             edited(tmp_path, dsm, edit(1, operation, void))
-    with pytest.raises(EmptyResultError, match="no vertex has a height"):
+    with pytest.raises(EmptyResultError, match="whose vertices have no heights"):
         edited(tmp_path, dsm, edit(1, "breakline", line((210, 10), (230, 40)), width=2.0))
     with pytest.raises(OptionError, match="also a file of the input DSM"):
         edited(tmp_path, dsm, output=dsm)

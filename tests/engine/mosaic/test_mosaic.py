@@ -233,7 +233,7 @@ def test_vertical_datums_must_agree(four, tmp_path, told):
     said = told()
     assert mosaic(told, tmp_path, [four[0], silent], said)["vertical_datum"] == ELLIPSOID
     assert said.warnings == [
-        f"'{silent}' does not state a vertical datum: all heights are taken to refer to {ELLIPSOID}."
+        f"'{silent}' does not state a vertical datum: all heights are assumed to refer to {ELLIPSOID}."
     ]
     geoid = write(tmp_path / "geoid.tif", (0, 0), 100, tags={}, vertical=5773)
     with pytest.raises(ImageError, match="convert all DSMs to one vertical datum") as caught:
