@@ -1,8 +1,8 @@
 """From depths of a tile's frame to heights and ground positions: exact RPC geometry, tabulated on nodes.
 
-COLMAP finds, for a pixel of the reference, the depth whose pinhole pixels in the other images show the same. Here the
-same is done with known ground: at each node the reference's ray is followed by its RPC to some altitudes, each source's
-RPC says where it shows that ground, and the depth is the one whose pinhole pixels are nearest to those places. So the
+COLMAP finds, for a pixel of the reference, the depth whose pinhole pixels in the other images look the same. Here this
+is repeated with known ground: at each node the reference's ray is followed by its RPC to some altitudes, each source's
+RPC gives the pixel of this ground, and the depth is the one whose pinhole pixels are nearest to those places. So the
 errors of the pinhole cameras cancel, as they do for disparities in ``stereo/triangulation.py``. The height is a
 parabola of the inverse depth, which in this frame is nearly a straight line.
 """

@@ -46,7 +46,7 @@ class ColmapParameters(Parameters):
     tracks: TrackParameters = TrackParameters()
     patch_match: PatchMatchParameters = PatchMatchParameters()
     range_margin_px: float = 6.0  # of parallax: heights are kept so far beyond the altitudes of the tile; chosen
-    score_window_px: int = 7  # side of the correlation window of the score; as sgm's
+    score_window_px: int = 7  # side of the correlation window of the score; the same as that of sgm
     depth_steps: int = 4  # of the least-squares search for the depth that the sources' RPCs agree on; chosen
 
 

@@ -1,6 +1,6 @@
 """Running COLMAP's patch match on the GPUs: its options, its memory, one worker for each GPU, and its failures.
 
-COLMAP is used as it is (Schoenberger, Zheng, Pollefeys, Frahm, Pixelwise View Selection for Unstructured Multi-View
+COLMAP is used unchanged (Schoenberger, Zheng, Pollefeys, Frahm, Pixelwise View Selection for Unstructured Multi-View
 Stereo, 2016).
 """
 
@@ -130,7 +130,7 @@ def run_patch_match(
 
 
 def failure(log: str, gpu: str, code: int) -> DeviceError:
-    """What the last message in COLMAP's log means."""
+    """The error that the last message in COLMAP's log means."""
     lines = [line.strip() for line in log.splitlines() if line.strip()]
     words = next(
         (line for line in reversed(lines) if any(text in line.lower() for text in (*_FULL, "error", "fail"))),
@@ -139,7 +139,7 @@ def failure(log: str, gpu: str, code: int) -> DeviceError:
     if any(text in log.lower() for text in _FULL):
         return DeviceError(f"GPU {gpu} ran out of memory ('{words}'): free it, or choose a smaller GPU_MEMORY.")
     return DeviceError(
-        f"GPU {gpu} was lost or refused the work ('{words}'): look at it with nvidia-smi and run again, "
+        f"GPU {gpu} was lost or refused the work ('{words}'): check it with nvidia-smi and run again, "
         "or choose BACKEND sgm."
     )
 

@@ -69,7 +69,7 @@ def match_tiles(
 ) -> Tuple[List[Optional[HeightMapRecord]], Dict[str, DeviceError]]:
     """Match tiles, one worker for each GPU; gives the records, and the errors of tiles on which a GPU failed."""
     if not devices:
-        lost = "no CUDA device answers any more: look at it with nvidia-smi and run again, or choose BACKEND sgm."
+        lost = "no CUDA device responds any more: check it with nvidia-smi and run again, or choose BACKEND sgm."
         return [], {task.tile: DeviceError(lost) for task in tasks}
 
     def work(task: GpuTask, gpu: Gpu, stop: threading.Event) -> List[HeightMapRecord]:
@@ -89,7 +89,7 @@ def match_tiles(
 
 
 def match_tile(task: GpuTask, gpu: Gpu, stop: threading.Event, run: Runner) -> List[HeightMapRecord]:
-    """Match a tile on a GPU, in as many parts as its memory asks for; gives the height maps' records.
+    """Match a tile on a GPU, in as many parts as its memory requires; gives the height maps' records.
 
     Height maps that an earlier, stopped run has finished are taken as they are (``reused`` in the record). Raises
     DeviceError where the GPU fails, Cancelled once ``stop`` is set.

@@ -115,7 +115,7 @@ def _shift_of_points(
     check: Callable[[], None],
     parameters: EvaluationParameters,
 ) -> FloatArray:
-    """What lays the DSM's points onto the reference's (3,), from a shift that is nearly right."""
+    """The shift (3,) of the DSM's points onto the reference's, from a shift that is nearly right."""
     points = dsm.points(windows, 0, check)
     around = reference.points(windows, parameters.coregistration.search, check)
     return shift_onto(points, around, np.array([start.dx, start.dy, start.dz]), check, parameters.icp)
@@ -131,7 +131,7 @@ def gradient(heights: FloatImage, cell: Tuple[float, float]) -> FloatImage:
 
 
 class Thumbnails:
-    """Small pictures of large rasters that are gone over in blocks: ``pictures`` by their names, each (rows, columns)
+    """Small pictures of large rasters that are processed in blocks: ``pictures`` by their names, each (rows, columns)
     means of ``factor``² cells, NaN = none. The factor is a power of two, and so must the blocks' side be."""
 
     def __init__(self, size: Size, names: Sequence[str]) -> None:
@@ -149,7 +149,7 @@ class Thumbnails:
 
 
 class _Blocks:
-    """Goes over the reference block by block and collects."""
+    """Processes the reference block by block and collects errors."""
 
     def __init__(
         self,

@@ -28,7 +28,7 @@ from .parameters import COREGISTRATION, CoregistrationParameters
 Patch = Tuple[Floats, Floats]
 """DSM and reference on the same cells, (rows, columns) each, row 0 in the north, NaN = no height."""
 Check = Callable[[], None]
-"""It is called between steps, and may raise to stop."""
+"""A function that is called between steps, and may raise an exception to stop."""
 
 _KERNEL = np.array([1, 4, 6, 4, 1]) / 16.0
 
@@ -46,7 +46,7 @@ class Alignment:
     cells: int = 0
 
     def applied(self, dsm: Floats, cell: Tuple[float, float]) -> FloatImage:
-        """A DSM with cells of this width and height (m), moved; NaN where nothing is moved to."""
+        """A DSM with cells of this width and height (m), moved; NaN where no cell is moved to."""
         return shifted(dsm, self.dx / cell[0], -self.dy / cell[1]) + np.float32(self.dz)
 
 
@@ -57,7 +57,7 @@ def align(
     check: Check = lambda: None,
     parameters: CoregistrationParameters = COREGISTRATION,
 ) -> Alignment:
-    """What lays the DSM onto the reference.
+    """The shift of the DSM onto the reference.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def moved_by(
 
 
 def shifted(array: Floats, columns: float, rows: float) -> Floats:
-    """The surface displaced by a number of cells to the right and down, same shape, NaN where nothing came from.
+    """The surface displaced by a number of cells to the right and down, same shape, NaN where no cell came from.
 
     Cubic (Catmull-Rom) between cells; a cell is NaN where one of the cells with a weight in it is.
     """

@@ -88,8 +88,8 @@ class GcpAccuracy:
 def measure_images(found: GcpAccuracy, views: Sequence[View], parameters: GcpParameters = GCPS) -> None:
     """Add where the images put the points: vendors' RPCs, RPCs with a shift per view, and the views' own pointing.
 
-    The shifts are the control points' mean residuals. No point confirms itself: a control point is located with the
-    shifts of the other control points. Control points that contradict the others are named and left out.
+    The shifts are the control points' mean residuals. No point is used for its own check: a control point is located
+    with the shifts of the other control points. Control points that contradict the others are named and left out.
     """
     plain = [view.with_pointing(np.eye(2, 3)) for view in views]
     found.residuals["rpc"] = [residuals(gcp, plain) for gcp in found.gcps]
@@ -192,7 +192,7 @@ def _datum_warnings(dsm: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List
     if "ellipsoid" in as_text(dsm.GetMetadataItem("VERTICAL_DATUM") or "").lower():
         return []
     return [
-        f"'{grid.path}' does not state its vertical datum; its heights are taken to be above the WGS 84 ellipsoid. "
+        f"'{grid.path}' does not state its vertical datum; its heights are assumed to be above the WGS 84 ellipsoid. "
         "If they are above a geoid, assign it a CRS that states it (for example EPSG:32631+3855)."
     ]
 

@@ -322,7 +322,7 @@ class HeightWarper:
         if ours is None or theirs is None:
             silent = self._source if ours is None else self._target
             unknown = f"'{silent.path}' does not state its vertical datum"
-            self.warnings.append(f"{unknown}; its heights are taken to be in the other raster's ({ours or theirs}).")
+            self.warnings.append(f"{unknown}; its heights are assumed to be in the other raster's ({ours or theirs}).")
             return None
         return self._best_operation(source, target, ours, theirs)
 

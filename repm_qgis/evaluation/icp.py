@@ -2,8 +2,8 @@
 
 Each point looks for the nearest point of the reference, and its distance from the plane there is made small (Chen and
 Medioni 1991, Proc. IEEE Robotics and Automation, 2724-2729), with Tukey's weights, and within reaches that shrink. Only
-places that are flat on both sides and turned alike count: at edges the nearest point belongs to another face, and in
-trees there is none. Neither surface is resampled, so a shift by a part of a cell changes nothing.
+places count that are flat and have the same orientation in both clouds: at edges the nearest point belongs to another
+face, and in trees there is none. Neither surface is resampled, so a shift by a part of a cell changes nothing.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def shift_onto(
     check: Callable[[], None] = lambda: None,
     parameters: IcpParameters = ICP,
 ) -> FloatArray:
-    """What to add (3,) to ``points`` (N, 3) so that they lie on ``reference`` (M, 3); all in metres.
+    """The shift (3,) to add to ``points`` (N, 3) so that they lie on ``reference`` (M, 3); all in metres.
 
     ``start`` (3,) must be right to within about four times the distance between points. ``check`` is called between
     steps, and may raise to stop. Raises EmptyResultError where there are too few points near each other, or where
@@ -92,7 +92,7 @@ def _step(xyz: FloatArray, normal: FloatArray, theirs: _Planes, reach: float, pa
     independent = max(len(found) / COREGISTRATION.independent, 1.0)
     if least < 1e-8 or scale / math.sqrt(least * independent) > COREGISTRATION.most_uncertain:
         raise EmptyResultError(
-            "The flat parts of both surfaces are turned too much alike for ALIGN=icp, which needs slopes in all "
+            "The flat parts of both surfaces have too similar orientations for ALIGN=icp, which needs slopes in all "
             "directions: set ALIGN to 3d or vertical, or compare over a larger area."
         )
     return np.linalg.solve(matrix, -(design * weight[:, None]).T @ distance)

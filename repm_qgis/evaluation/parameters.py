@@ -23,7 +23,7 @@ class CoregistrationParameters(Parameters):
     coarsest: int = 24  # cells that a side keeps at the coarsest level
     fine_search: int = 2  # reach at each finer level
     differences: int = 200_000  # that one NMAD of the search is taken from, about
-    least_share: float = 0.2  # of the cells that a shift must leave in common
+    least_share: float = 0.2  # of the cells that must still overlap after a shift
     whole_search: int = 8  # reach of the alignment by whole cells, which benchmarks use
     iterations: int = 15  # Gauss-Newton steps, at most
     most_step: float = 1.0  # of one of them, along an axis
@@ -72,7 +72,7 @@ class ComparisonParameters(Parameters):
 
 @dataclass(frozen=True)
 class GcpParameters(Parameters):
-    """When control points and datums are called wrong. All values are chosen."""
+    """When control points and datums count as wrong. All values are chosen."""
 
     wrong_px: float = 1.5  # least residual of a wrong control point: a shift explains less than an adjustment does
     wrong_times: float = 4.0  # how many NMADs of all points' residuals it must have, too

@@ -74,7 +74,7 @@ def curves(
     xlim: Optional[Pair] = None,
     ylim: Optional[Pair] = None,
 ) -> Drawing:
-    """Lines through (x (n,), y (n,)), by their names. Lines break where a value is not finite."""
+    """Lines through (x (n,), y (n,)), with their names. Lines break where a value is not finite."""
     data = [np.column_stack([np.asarray(v, float).ravel() for v in xy]) for xy in series.values()]
     known = np.concatenate([_finite(points) for points in data] or [np.empty((0, 2))])
     if len(known) == 0:
@@ -127,7 +127,7 @@ def arrows(
     if len(at) == 0:
         return _nothing(title)
     low, high = at.min(0), at.max(0)
-    if names:  # room for what reaches beyond the outermost points
+    if names:  # room for arrows beyond the outermost points
         low, high = low - 0.12 * (high - low).max(), high + 0.12 * (high - low).max()
     span = np.maximum(high - low, 1.0)
     zoom = min((_WIDTH - 40.0) / span[0], 420.0 / span[1])

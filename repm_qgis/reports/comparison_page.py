@@ -43,7 +43,7 @@ def comparison_page(found: Comparison, error_path: str = "", others: Sequence[Co
 
 
 def _names(found: Sequence[Comparison]) -> List[str]:
-    """A short name for each DSM: its file's, with as many of the folders as tell them apart."""
+    """A short name for each DSM: its file's, with as many of its folders as make the names different."""
     parts = [PurePath(one.dsm.path).with_suffix("").parts for one in found]
     for count in range(1, max(map(len, parts)) + 1):
         names = ["/".join(part[-count:]) for part in parts]
@@ -88,7 +88,7 @@ def _profiles(page: Report, everyone: Mapping[str, Comparison]) -> None:
 
 
 def _findings(everyone: Mapping[str, Comparison]) -> List[str]:
-    """What is to look at in all DSMs; where there are several, each finding names its own."""
+    """The findings of all DSMs; where there are several, each finding names its DSM."""
     found = []
     for name, one in everyone.items():
         said = verdict.of_comparison(one.metrics, max(*cell_sides(one.dsm), *cell_sides(one.reference)))

@@ -21,7 +21,7 @@ _SHORT = {"rpc": "RPC", "compensated": "compensated", "scene": "scene", "dsm": "
 
 
 def gcp_page(found: GcpAccuracy, options: CheckGcpsOptions) -> Report:
-    """What the points say about the images' geometry and about the DSM, for the analyst."""
+    """The accuracy of the images' geometry and of the DSM at the points, for the analyst."""
     page = Report("Accuracy at ground control points", _counts(found))
     page.verdict(_good(found), verdict.of_points(found))
     for text in found.warnings:
@@ -38,7 +38,7 @@ def gcp_page(found: GcpAccuracy, options: CheckGcpsOptions) -> Report:
 
 
 def _good(found: GcpAccuracy) -> str:
-    """The figure that says most of the result: the DSM's, else that of the best geometry of the images."""
+    """The most important figure of the result: the DSM's, else that of the best geometry of the images."""
     for column in _BEST:
         figures = found.summary(column, "height") if column in found.errors else None
         if figures is not None and figures.count and column == "dsm":
@@ -81,7 +81,7 @@ def _heights(page: Report, found: GcpAccuracy) -> None:
 
 
 def _positions(page: Report, found: GcpAccuracy) -> None:
-    """Horizontal accuracy, and both in the words of a contract."""
+    """Horizontal accuracy, and both accuracies in the words of a contract."""
     rows: List[List[Any]] = []
     for column in found.errors:
         for role in _roles(found):

@@ -59,7 +59,7 @@ def _pairs(report: Report, scene: Scene) -> None:
 
 
 def overlap_percent(scene: Scene, first: str, second: str) -> float:
-    """What two views' footprints have in common at the middle altitude, in % of the smaller one."""
+    """The overlap of two views' footprints at the middle altitude, in % of the smaller one."""
     middle = sum(scene.altitudes) / 2
     places = [footprint(view.localise, view.size, middle) for view in (scene.view(first), scene.view(second))]
     shapes = [geometry_of(projected_from_geodetic(scene.crs, place)) for place in places]
@@ -85,8 +85,8 @@ def _ties(report: Report, scene: Scene, ties: PointingFigures) -> None:
         "first | second | candidates | ties | before, px | after, px | spread, px",
         rows,
         "The vertical parallax of each pair, which is the distance between its pixels across the direction of the "
-        "parallax: before, with the vendors' RPCs (median), and after the correction (median of the absolute values, "
-        "and their spread as NMAD).",
+        "parallax: before the correction, with the vendors' RPCs (median), and after it (median of the absolute "
+        "values, and their spread as NMAD).",
     )
     tiles = [list(entry) for entry in ties.ties_by_tile.items()]
     if len(tiles) > 1:
@@ -143,7 +143,7 @@ def _pointing(report: Report, ties: PointingFigures) -> None:
 
 
 def add_jitter(report: Report, scene: Scene) -> None:
-    """The waves of each view that has some: how large they are, and how they look."""
+    """The waves of each view that has jitter: their size and shape."""
     shaken = [(view, view.jitter) for view in scene.views if view.jitter is not None]
     if not shaken:
         return
@@ -154,12 +154,12 @@ def add_jitter(report: Report, scene: Scene) -> None:
         sizes = *np.sqrt(np.mean(waves**2, axis=0)), *np.abs(waves).max(axis=0)
         rows.append([view.name, *fixed(*sizes, decimals=2)])
         series = {"in columns": (lines, waves[:, 0]), "in rows": (lines, waves[:, 1])}
-        drawings.append(charts.curves(series, "line of the image", "aside of the RPC (px)", view.name))
+        drawings.append(charts.curves(series, "line of the image", "displacement from the RPC (px)", view.name))
     report.section("Jitter").table(
         "view | columns, RMS, px | rows, RMS, px | columns, most, px | rows, most, px",
         rows,
-        "The satellite shook while it took the images: what is seen in a line lies so far aside of where the corrected "
-        "RPC puts it. The heights and all products of this scene are free of these waves.",
+        "The satellite shook while it took the images: the content of an image line is displaced by this much from "
+        "where the corrected RPC puts it. The heights and all products of this scene are corrected for these waves.",
     )
     for drawing in drawings:
         report.svg(drawing, "The waves of an image over its lines.")
@@ -170,15 +170,15 @@ def _absolute(report: Report, scene: Scene, ties: PointingFigures) -> None:
     report.section("Absolute position")
     if ties.height_uncertainty_m is not None:
         report.paragraph(
-            "Without control points the corrections sum to zero, so the position and height of the whole stay as the "
-            "vendors' RPCs have them. Ground control points (GCPS), or an alignment with a reference, remove their "
-            "error."
+            "Without control points the corrections sum to zero, so the position and height of the whole scene stay "
+            "as the vendors' RPCs give them. Ground control points (GCPS), or a registration to a reference, remove "
+            "their error."
         )
     for text in absolute_height(scene.views, ties):
         report.paragraph(text)
     points, rejected = ties.gcps, ties.rejected_gcps
     if rejected:
-        points_text = f"{counted(len(rejected), 'control point')} contradicted all others and took no part in"
+        points_text = f"{counted(len(rejected), 'control point')} contradicted all others and could not be used in"
         remedy = "check their coordinates, the datum of their heights, and the measured pixels."
         report.warning(f"{points_text} the adjustment: {', '.join(rejected)}.", remedy)
     if not points:

@@ -25,7 +25,7 @@ _MOST_PICTURES, _PICTURE_PX = 40, 260
 
 @dataclass(frozen=True)
 class Choice:
-    """Images to make a DSM of, and how long that takes, seconds by the clock."""
+    """Images to make a DSM of, and how long that takes, seconds of wall time."""
 
     images: Tuple[View, ...]
     wall_s: float
@@ -62,7 +62,7 @@ def inspection_page(
 
 
 def _choices(page: Report, choices: Sequence[Choice]) -> None:
-    """What to begin with, and how long each takes."""
+    """The images to begin with, and how long each choice takes."""
     if not choices:
         return
     names = {2: "the best pair", 3: "the best triplet"}
@@ -93,7 +93,7 @@ def _pictures(page: Report, places: Sequence[Place]) -> None:
             continue  # the image's RPC could be read, and more is not needed here
         drawn.append((pictures.png_bytes(picture), view.name))
     if drawn:
-        more = f" {len(images) - len(drawn)} more images have none here." if len(images) > len(drawn) else ""
+        more = f" {len(images) - len(drawn)} more images are not shown here." if len(images) > len(drawn) else ""
         page.gallery(drawn, f"The images as they were taken, not north up: look for clouds, haze and snow.{more}")
 
 
@@ -170,14 +170,15 @@ def _overlaps(page: Report, places: Sequence[Place], parameters: PlanningParamet
             rows.append([f"{pair.first}, {pair.second}", facts.worth, facts.reason, *figures])
     limits, advice = parameters.pairs, parameters.advice
     page.section("Pairs").table(
-        "pair | worth matching | why | B/H | angle, ° | overlap | accuracy, m | apart | suns",
+        "pair | worth matching | why | B/H | convergence, ° | overlap | accuracy, m | time between | angle between "
+        "suns",
         rows,
-        "'Angle' is that of convergence, 'overlap' the ground that both show and its part of the smaller image, "
-        f"'accuracy' that of single heights where matching is accurate to {advice.matching_px:g} px, 'apart' the time "
-        f"between the two, 'suns' the angle between the directions to the sun. A pair is good with B/H from "
-        f"{limits.narrow:g} to {limits.wide:g}; below {limits.least_base_to_height:g} it measures no heights. Suns "
-        f"more than {advice.sun_deg:g}° apart move the shadows, and more than {advice.season_days:.0f} days of the "
-        "year change plants. Pairs that are not needed are left out where 'Make a DSM from satellite images' is given "
+        "'Overlap' is the ground that both show and its part of the smaller image, and 'accuracy' that of single "
+        f"heights where matching is accurate to {advice.matching_px:g} px. A pair is good with B/H from "
+        f"{limits.narrow:g} to {limits.wide:g}; below {limits.least_base_to_height:g} it measures no heights. With "
+        f"more than {advice.sun_deg:g}° between the directions to the sun, shadows lie elsewhere; with more than "
+        f"{advice.season_days:.0f} days of the year between the images, plants have changed. Pairs that are not "
+        "needed are left out where 'Make a DSM from satellite images' is given "
         "all these images.",
         most=_MOST_PAIRS,
         where="The layer has them all.",

@@ -1,4 +1,4 @@
-"""From where on reports warn. What only concerns pages and pictures stays in their modules."""
+"""The bounds beyond which reports warn. What only concerns pages and pictures stays in their modules."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from ..contracts.parameters import Parameters
 
 @dataclass(frozen=True)
 class VerdictParameters(Parameters):
-    """From where on a report says "look at" instead of "good". All values are chosen: good scenes, simulated and real,
-    lie well on the other side (docs/benchmarks.md)."""
+    """The bounds beyond which a report says "look at" instead of "good". All values are chosen: good scenes, simulated
+    and real, lie well on the other side (docs/benchmarks.md)."""
 
     least_covered_percent: float = 80.0  # cells with a height, of the ground that two images see
     most_residual_px: float = 0.5  # median residual of the tie points after the correction; 0.1 to 0.3 is usual
@@ -23,7 +23,7 @@ class VerdictParameters(Parameters):
     most_bias_nmads: float = 2.0  # ... where it is more than so many NMADs, too
     most_spread_m: float = 10.0  # NMAD against a reference; DSMs of satellite images have 0.3 to 4 m ...
     most_spread_cells: float = 1.0  # ... and global DEMs less than a cell: a coarse surface is off by its relief
-    most_changed_share: float = 0.3  # of what two dates show: beyond, the ground is not mostly stable
+    most_changed_share: float = 0.3  # of the ground of two dates: beyond, most of it is not stable
     most_offset_m: float = 10.0  # between two dates: images without control points differ by metres, geoids by more
     most_level_m: float = 3.0  # a storey
     least_used_share: float = 0.5  # of a reference's heights that agree with the surface; forests leave a third

@@ -1,6 +1,6 @@
-"""What a page's texts have for whoever reads them: explained words, the dialog's labels, decimals of the language.
+"""A finished page made readable: explained words, the dialog's labels, decimals of the language.
 
-All is done to the finished page, between its tags: so every page has it, and no text is written with it in mind.
+All is done to the finished page, between its tags: so every page has it, and texts need not be written for it.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def readable(page: str, language: str, labels: Mapping[str, str]) -> str:
 
 
 def _follow(tag: str, inside: list[str]) -> None:
-    """Keep account of the tags around a text, of those that matter here."""
+    """Keep track of the tags around a text that matter here."""
     name = re.match(r"</?(\w+)", tag)
     if name is None or name[1] not in _NO_WORDS or tag.endswith("/>"):
         return

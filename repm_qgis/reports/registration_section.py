@@ -21,7 +21,7 @@ _PICTURE_PX = 480  # along the longer side
 
 
 def registration_page(scene: Scene, figures: RegistrationFigures) -> Report:
-    """What the references say of a scene's place, for the analyst."""
+    """How the references place a scene, for the analyst."""
     names = ", ".join(f"'{os.path.basename(each.file)}'" for each in figures.references)
     page = Report("Registration to a reference", names or "Scenes that overlap")
     east, north, up = figures.latest.moved
@@ -46,20 +46,20 @@ def add_registration(page: Report, figures: RegistrationFigures) -> None:
     page.section("Registration")
     rows = []
     promised = (figures.promised_m[0], figures.promised_m[0], figures.promised_m[1])
-    told = [_is_told(figures.determined, axis) for axis in range(2)] + [True]
+    known = [_is_determined(figures.determined, axis) for axis in range(2)] + [True]
     for name, moved, deviation, promise, yes in zip(
-        ("east", "north", "height"), figures.latest.moved, figures.deviation, promised, told
+        ("east", "north", "height"), figures.latest.moved, figures.deviation, promised, known
     ):
-        state = "determined" if yes else "not determined: as the vendors' RPCs have it"
+        state = "determined" if yes else "not determined: as the vendors' RPCs give it"
         rows.append([name, f"{moved:+.3f}", f"{deviation:.3f}", f"{promise:.1f}", state])
     control = " The scene's ground control points count too, by their noise." if figures.control else ""
     page.table(
-        "component | added, m | standard deviation, m | to be expected, m | state",
+        "component | added, m | standard deviation, m | expected error without it, m | state",
         rows,
         "The shift of the scene's ground. It is in the pointing of every image, so that every product follows. The "
-        "standard deviations take into account that errors of neighbouring heights are alike. Without a registration, "
-        "nine of ten scenes are off by no more than what is to be expected (CE90, LE90): it comes from the vendors' "
-        f"promise and, for the height, from how well their RPCs agree.{control}",
+        "standard deviations take into account that errors of neighbouring heights are correlated. Without a "
+        "registration, nine of ten scenes have errors below the expected ones (CE90, LE90), which follow from the "
+        f"vendors' promise and, for the height, from how well their RPCs agree.{control}",
     )
     if any(figures.latest.tilt):
         tilt = ", ".join(f"{1000 * each:+.3f}" for each in figures.latest.tilt)
@@ -69,7 +69,7 @@ def add_registration(page: Report, figures: RegistrationFigures) -> None:
             "reference | heights above | cells or footprints, m | heights on the surface | heights used | "
             "east, m | north, m | height, m | NMAD before, m | NMAD after, m",
             [_reference_row(each) for each in figures.references],
-            "The shift that each reference alone asks for. Heights that are not used differ by more than the noise: "
+            "The shift that each reference alone would give. Heights that are not used differ by more than the noise: "
             "trees and roofs above bare ground, water, changes. The NMAD is the spread of the differences.",
         )
         for each in figures.references:
@@ -79,7 +79,7 @@ def add_registration(page: Report, figures: RegistrationFigures) -> None:
     if figures.waves_m is not None:
         without, taken = (f"{each:.2f}" for each in figures.waves_m)
         page.paragraph(
-            f"The reference shows jitter along the parallax, of up to {figures.waves_px:.2f} px. It is taken out of "
+            f"The reference shows jitter along the parallax, of up to {figures.waves_px:.2f} px. It is removed from "
             f"heights and pointing: the NMAD of the differences from single height maps falls from {without} to "
             f"{taken} m."
         )
@@ -89,7 +89,7 @@ def add_registration(page: Report, figures: RegistrationFigures) -> None:
     _differences(page, figures)
 
 
-def _is_told(determined: Tuple[Tuple[float, float], ...], axis: int) -> bool:
+def _is_determined(determined: Tuple[Tuple[float, float], ...], axis: int) -> bool:
     """Whether a component is determined: its axis lies in the directions that are."""
     return sum(direction[axis] ** 2 for direction in determined) > 0.99
 
@@ -109,12 +109,13 @@ def _offsets(page: Report, figures: RegistrationFigures) -> None:
     moved = np.array(figures.latest.moved[:2]) * (1, -1)
     page.svg(
         charts.arrows(at, before, "Before the registration", "m"),
-        "The horizontal shift that each part of the scene asks for, north up. Arrows that agree show a wrong pointing, "
+        "The horizontal shift that each part of the scene would need, north up. Arrows that agree show a wrong "
+        "pointing, "
         "which the registration removes.",
     )
     page.svg(
         charts.arrows(at, before - moved, "After the registration", "m"),
-        "What is left of them. Arrows that agree over only a part of the scene show a distortion, which no shift "
+        "The shifts that remain. Arrows that agree over only a part of the scene show a distortion, which no shift "
         "removes.",
     )
 

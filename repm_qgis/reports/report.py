@@ -66,7 +66,7 @@ class Report:
         self._sections: List[str] = []
 
     def of(self, name: str) -> Report:
-        """Name what the page is of, in its title: a scene and its days."""
+        """Add the page's subject to its title: a scene and its days."""
         self._of = name
         return self
 

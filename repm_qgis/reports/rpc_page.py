@@ -35,7 +35,7 @@ class ExportedRpc:
 
 
 def within_px(exported: Sequence[ExportedRpc]) -> float:
-    """The largest distance from the pointed model, rounded up to 0.0001 px: what is said of it is true."""
+    """The largest distance from the pointed model, rounded up to 0.0001 px, so that the stated bound holds."""
     worst = max(each.corrected.max_px for each in exported)
     return max(math.ceil(worst * 1e4), 1) / 1e4
 

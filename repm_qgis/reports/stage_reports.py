@@ -160,7 +160,7 @@ def _surface(report: Report, path: str, datum: str, facts: FusionFacts) -> None:
     known = f"{facts.valid} of {facts.cells} that two images see ({facts.valid_percent:.1f} %)"
     heights = f"{np.nanmin(values):.1f} to {np.nanmax(values):.1f} m above the {datum}"
     figures = [("Cell size", f"{facts.resolution:g} m"), ("Cells with a height", known)]
-    removed = [("Needles that were removed", f"{facts.needles} cells")] if facts.needles else []
+    removed = [("Spikes that were removed", f"{facts.needles} cells")] if facts.needles else []
     found = f"{facts.water_m2:.0f} m2 ({facts.water_evidence})"
     water = [("Water", found)] if facts.water else []
     report.facts([*figures, *removed, ("Heights", heights), *water, ("CRS", facts.crs)])
@@ -183,7 +183,7 @@ def _map(
     unit: str = "",
     base: Optional[ByteImage] = None,
 ) -> None:
-    """A coloured picture, over what lies there where that is known, and its key."""
+    """A coloured picture, over the orthophoto or relief of the same ground where there is one, and its key."""
     coloured = pictures.colour_map(values, *limits)
     report.png(pictures.png_bytes(coloured if base is None else pictures.over(base, coloured)), caption)
     report.svg(charts.colour_bar(pictures.RAMPS["viridis"], *limits, unit))
@@ -203,7 +203,7 @@ def _verdict(report: Report, scene: Scene, facts: Optional[FusionFacts] = None) 
 
 
 def _warnings(report: Report, scene: Scene) -> None:
-    """Everything that the stages warned of, at the top of the page."""
+    """All warnings of the stages, at the top of the page."""
     for text in dict.fromkeys(text for entry in scene.history for text in entry.warnings):
         report.warning(text)
 
@@ -274,7 +274,7 @@ def _reconstruction(report: Report, scene: Scene) -> None:
             figures = f"{record.metres_per_px:.2f}", f"{record.vertical_parallax_px:.3f}", moved
             rows.append([tile.id, *record.pair, size, matched, *figures])
     headers = "tile | first | second | size, px | matched, % | m of height per px | vertical parallax, px | moved, m"
-    note = "'Moved' is the mean of what was added to a map's heights, so that the maps of different pairs agree."
+    note = "'Moved' is the mean offset that was added to a map's heights, so that the maps of different pairs agree."
     report.section("Height maps").table(headers, rows, note, where=_TILES_LAYER)
 
 

@@ -2,7 +2,7 @@
 
 The templates lie in ``resources/styles``, and :data:`repm_qgis.contracts.products.STYLES` says which kind of layer has
 which; this module fills in what depends on the data (the range, and the colours spread over it). Each is valid for QGIS
-3.22 and later; what an older QGIS does not know (the elevation of 3.26) it passes over.
+3.22 and later; an older QGIS ignores what it does not know (the elevation of 3.26).
 
 | kind | what | range |
 |---|---|---|
@@ -20,7 +20,7 @@ which; this module fills in what depends on the data (the range, and the colours
 | tiles | polygons by ``worst_rmse``, labelled | fixed classes in px |
 | tie_points | points by ``residual``, arrows of the rows' residuals | fixed classes in px |
 | differences, differences_before | reference - surface, m, as dsm_error | that of the differences before |
-| offsets | arrows of the shift that each part of a scene asks for, labelled with that of the height | given |
+| offsets | arrows of the shift that each part of a scene would need, labelled with that of the height | given |
 | change, significant | AFTER - BEFORE of two dates, m, as dsm_error; where it is significant | the usual change |
 | significant_level | the level of detection in m, from dark (none) to bright | 0..98 % |
 | volumes | polygons by gain and loss, labelled with their volume in m3 | none |

@@ -1,4 +1,4 @@
-"""Whether a result can be used as it is: each figure against the bound from where on somebody should look at it.
+"""Whether a result can be used as it is: each figure compared with the bound beyond which somebody should look at it.
 
 The bounds are :class:`~repm_qgis.evaluation.parameters.VerdictParameters`. A finding is a sentence with the figure and
 the bound; no finding is a good result.
@@ -81,7 +81,7 @@ def _cameras(scene: Scene, bounds: VerdictParameters) -> List[str]:
 
 def _warnings(scene: Scene) -> List[str]:
     count = len(dict.fromkeys(text for entry in scene.history for text in entry.warnings))
-    return [f"Warnings of the stages, which stand below: {count}."] if count else []
+    return [f"Warnings of the stages (listed below): {count}."] if count else []
 
 
 def fitted_error_px(scene: Scene) -> float:
@@ -139,7 +139,7 @@ def of_points(found: GcpAccuracy, bounds: VerdictParameters = VERDICT) -> List[s
             "their spread: check GCP_DATUM, the DSM's vertical datum and its absolute position."
         )
     if found.warnings:
-        said.append(f"Warnings, which stand below: {len(found.warnings)}.")
+        said.append(f"Warnings (listed below): {len(found.warnings)}.")
     return said
 
 
@@ -176,7 +176,7 @@ def of_mosaic(
             f"{bounds.most_spread_m:g} m): check their places, units and RPCs."
         )
     if warnings:
-        said.append(f"Warnings, which stand below: {len(warnings)}.")
+        said.append(f"Warnings (listed below): {len(warnings)}.")
     return said
 
 
@@ -212,7 +212,7 @@ def of_change(
     if changed_share > bounds.most_changed_share:
         found.append(
             f"{100 * changed_share:.0f} % of the ground changed (usual: at most "
-            f"{100 * bounds.most_changed_share:.0f} %): the alignment takes most of the ground as stable, so "
+            f"{100 * bounds.most_changed_share:.0f} %): the alignment assumes that most of the ground is stable, so "
             "align both DSMs before, and set ALIGN to none."
         )
     if abs(dz) > bounds.most_offset_m:
@@ -222,11 +222,11 @@ def of_change(
         )
     if level_m > bounds.most_level_m:
         found.append(
-            f"Only changes of more than {level_m:.1f} m can be told from errors (usual: at most "
+            f"Only changes of more than {level_m:.1f} m can be distinguished from errors (usual: at most "
             f"{bounds.most_level_m:g} m): see 'Stable ground'."
         )
     if warnings:
-        found.append(f"Warnings, which stand below: {len(warnings)}.")
+        found.append(f"Warnings (listed below): {len(warnings)}.")
     return found
 
 
@@ -235,13 +235,13 @@ def of_registration(figures: RegistrationFigures, bounds: VerdictParameters = VE
     found = []
     if len(figures.determined) < 2:
         found.append(
-            "The relief does not determine the horizontal position in every direction: a plain tells the height only. "
-            "What is not determined stays as the vendors' RPCs have it: see 'Registration'."
+            "The relief does not determine the horizontal position in every direction: flat ground only determines "
+            "the height. The other directions stay as the vendors' RPCs give them: see 'Registration'."
         )
     for words, size, promise in figures.unexpected():
         found.append(
-            f"The shift of {size:.1f} m {words} is more than the {promise:.1f} m within which nine of ten scenes "
-            "lie: see 'Registration'."
+            f"The shift of {size:.1f} m {words} is more than expected (nine of ten scenes need at most {promise:.1f} "
+            "m): see 'Registration'."
         )
     for each in figures.references:
         share = each.used / max(each.seen, 1)
@@ -265,8 +265,8 @@ def of_rpcs(exported: Mapping[str, CorrectedRpc], bounds: VerdictParameters = VE
     shaken = {name: each for name, each in exported.items() if each.method == JITTERED}
     return [
         f"An RPC cannot hold the jitter of {name}: the exported one differs from the pointed model by up to "
-        f"{each.max_px:.2f} px, {each.rms_px:.2f} px in the mean. Software that uses it sees the waves that this "
-        "scene's own products are free of."
+        f"{each.max_px:.2f} px, {each.rms_px:.2f} px in the mean. Products of software that uses it contain these "
+        "waves; this scene's own products do not."
         for name, each in shaken.items()
         if each.max_px > bounds.most_rpc_px
     ] + [

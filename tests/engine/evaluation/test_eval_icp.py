@@ -119,7 +119,7 @@ def test_what_cannot_be_aligned_is_shortage_as_error(dsm, make_raster, tmp_path,
     numbers = np.random.default_rng(1)
     x, y = numbers.uniform(0, 240, (2, 50_000))
     plane = np.column_stack([x, y, 0.1 * x])
-    with pytest.raises(EmptyResultError, match="turned too much alike for ALIGN=icp"):
+    with pytest.raises(EmptyResultError, match="too similar orientations for ALIGN=icp"):
         shift_onto(plane, plane + [0, 0, 0.2], np.zeros(3))
     with pytest.raises(EmptyResultError, match="Only 0 points of the DSM lie near"):
         shift_onto(plane, plane + [0, 0, 90.0], np.zeros(3))

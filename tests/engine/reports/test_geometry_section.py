@@ -98,7 +98,7 @@ def test_control_points_are_told_and_rejected_ones_named(scene):
     ties = replace(scene.pointing, height_uncertainty_m=None, gcps=gcps, rejected_gcps=("P2",))
     page = page_of(replace(scene, pointing=ties))
     assert (
-        "1 control point contradicted all others and took no part in the adjustment: P2." in page
+        "1 control point contradicted all others and could not be used in the adjustment: P2." in page
         and "<td>rejected</td>" in page
     )
     assert '<td>control</td><td class="n">2</td><td>height</td><td class="n">0.600</td><td class="n">0.608</td>' in page

@@ -50,7 +50,7 @@ def test_each_figure_beyond_its_bound_is_a_finding(made):
         "tie points is 0.60 px (usual: at most 0.5 px)": (replace(scene, pointing=replace(ties, after_px=0.6)), facts),
         "keep a vertical parallax of 0.90 px": (replace(scene, pointing=replace(ties, pairs=pairs)), facts),
         "contradict the others (P1)": (replace(scene, pointing=replace(ties, rejected_gcps=("P1",))), facts),
-        "Warnings of the stages, which stand below: 1.": (
+        "Warnings of the stages (listed below): 1.": (
             replace(scene, history=(replace(scene.history[0], warnings=("x",)), *scene.history[1:])),
             facts,
         ),
@@ -159,7 +159,7 @@ def test_a_check_of_points_is_judged():
         "Points that can be used: 3 (with fewer than 4": points(3, [0.1]),
         "in the images is 2.00 px (usual: at most 1.5 px)": points(6, [0.1], 2.0),
         "contradict the others (P0)": replace(good, wrong=("P0",)),
-        "Warnings, which stand below: 1.": replace(good, warnings=["x"]),
+        "Warnings (listed below): 1.": replace(good, warnings=["x"]),
     }
     for text, found in cases.items():
         (finding,) = verdict.of_points(found)
@@ -175,6 +175,6 @@ def test_a_mosaic_is_judged_by_what_the_offsets_leave():
     wide = verdict.Difference(1, 3, -1.2, 0.5)
     (finding,) = verdict.of_mosaic([*fine, wide], [])
     assert "1 of 3, at most 1.20 m (DSMs 1 and 3)" in finding
-    assert verdict.of_mosaic(fine, ["a", "b"]) == ["Warnings, which stand below: 2."]
+    assert verdict.of_mosaic(fine, ["a", "b"]) == ["Warnings (listed below): 2."]
     (finding,) = verdict.of_mosaic([*fine, verdict.Difference(2, 3, 0.1, 31.0)], [])
     assert "do not show the same surface: 1 of 3; those of DSMs 2 and 3 differ by 31.0 m (NMAD" in finding
