@@ -8,7 +8,7 @@ import sys
 
 
 def _cancelled_at_the_start(number: int, frame: object) -> None:
-    """Imports take a moment, and a cancel may come before the engine can do better than this."""
+    """Imports take a moment, and a cancel may come before the engine can clean up."""
     os.write(1, b'{"type": "error", "kind": "Cancelled", "text": "Cancelled by the user."}\n')
     os._exit(1)
 

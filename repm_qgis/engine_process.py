@@ -1,4 +1,4 @@
-"""One stage in a process of its own: what goes over its standard streams, how it is cancelled, and its exit codes.
+"""One stage in a process of its own: the messages on its standard streams, how it is cancelled, and its exit codes.
 
 ``python -m repm_qgis STAGE JOB.json``: JOB.json is an object with the stage's options; in its place ``-`` has it read
 from the first line of standard input, so that no file is left behind whatever happens. Standard output carries JSON
@@ -39,12 +39,12 @@ _GRACE_S = 1.2  # from SIGTERM to SIGKILL where nobody else does it
 _CANCELLING = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGBREAK") if hasattr(signal, name)]
 _CANCEL = b"cancel\n"  # a line on standard input
 Asked = Callable[[], Tuple[str, Dict[str, Any]]]
-"""What gives the stage's name and its job; raises OptionError."""
+"""A function that gives the stage's name and its job; raises OptionError."""
 
 
 def _first_line() -> Tuple[bytes, bytes]:
-    """The first line of standard input, and what came with it: it is not read to its end, which says that the parent is
-    gone."""
+    """The first line of standard input, and what came with it: it is not read to its end, because the end means that
+    the parent is gone."""
     read, piece = bytearray(), b""
     while b"\n" not in piece and len(read) <= _MAX_JOB_BYTES:
         piece = os.read(0, 65536)
@@ -75,10 +75,12 @@ def read_job(path: str, line: bytes = b"") -> Dict[str, Any]:
 
 
 class Cancelling:
-    """SIGTERM and Ctrl-C: the stage is interrupted so that it cleans up; what does not end in time is ended.
+    """SIGTERM and Ctrl-C: the stage is interrupted so that it cleans up; if it does not end in time, the process is
+    ended.
 
     An exception that a signal raises can get lost, in a destructor or in a callback of native code, and it can leave a
-    lock taken that the clean-up waits for. So a thread of its own sees to the end, with the sentence and the exit code.
+    lock taken that the clean-up waits for. So a separate thread ends the process in time, with the sentence and the
+    exit code.
     """
 
     def __init__(self, lines: JsonLines) -> None:
@@ -88,20 +90,20 @@ class Cancelling:
 
     def listen(self) -> None:
         self._listening = True
-        sys.unraisablehook = self._unheard
+        sys.unraisablehook = self._print_lost
         for number in _CANCELLING:
-            signal.signal(number, self._hear)
+            signal.signal(number, self._on_signal)
 
     @staticmethod
-    def _unheard(lost: Any) -> None:
-        """An exception that got lost in a destructor, say, is printed; a cancel is not, as the thread sees to it."""
+    def _print_lost(lost: Any) -> None:
+        """Print an exception that was lost, for example in a destructor; a cancel is not printed, because the thread
+        handles it."""
         if not isinstance(lost.exc_value, Cancelled):
             sys.__unraisablehook__(lost)
 
     def stop_listening(self) -> None:
-        """The work has ended, one way or the other: what comes now must not change the exit code.
-
-        Python gives up its own handlers when it ends, and the system's would kill it then.
+        """The work has ended, with or without success: later signals must not change the exit code. Python removes its
+        own handlers when it ends, and the system's handlers would kill it then.
         """
         for number in _CANCELLING:
             signal.signal(number, signal.SIG_IGN)
@@ -111,24 +113,24 @@ class Cancelling:
         return self._asked
 
     def ask(self) -> None:
-        """What the signals do, from any thread; where the main one is amid native code it is heard all the same."""
+        """Cancel as the signals do, from any thread; it also works while the main thread runs native code."""
         if os.name == "nt":
             signal.raise_signal(signal.SIGINT)
         else:
             # To the main thread itself: os.kill() may choose another one, and the main thread would sleep on.
             signal.pthread_kill(self._main, signal.SIGINT)
-        threading.Thread(target=self._end_unheard, name="end-unheard", daemon=True).start()
+        threading.Thread(target=self._end_if_not_asked, name="end-if-not-asked", daemon=True).start()
 
-    def _end_unheard(self) -> None:
+    def _end_if_not_asked(self) -> None:
         time.sleep(_GRACE_S)
         if self._listening and not self._asked:
             name_nothing_more()
             self._end_now()
 
-    def _hear(self, number: int, frame: object) -> None:
+    def _on_signal(self, number: int, frame: object) -> None:
         if os.getpid() != self._engine:  # a forked worker inherits this handler; its clean-up is the engine's business
             os._exit(1)
-        if self._asked:  # asked twice: the clean-up already runs, and the thread sees to its end
+        if self._asked:  # second request: the clean-up already runs, and the thread ends it in time
             return
         self._asked = True
         name_nothing_more()
@@ -149,8 +151,8 @@ class Cancelling:
 def _own_input() -> int:
     """Standard input under another number, and nothing in its place.
 
-    Windows makes one request at a time of a pipe like this: workers, who get standard input and ask what it is as they
-    begin, would wait for the end of our reading.
+    Windows allows one request at a time on such a pipe: workers, which inherit standard input and query its type when
+    they start, would wait until our read ends.
     """
     pipe, nothing = os.dup(0), os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
@@ -158,10 +160,10 @@ def _own_input() -> int:
     return pipe
 
 
-def _heed_parent(cancelling: Cancelling, said: bytes) -> None:
-    """Cancel where standard input says so; cancel, and soon after end the process group, once it closes.
+def _watch_parent(cancelling: Cancelling, said: bytes) -> None:
+    """Cancel on the line ``cancel`` of standard input; cancel, and soon after end the process group, once it closes.
 
-    ``said`` was read of it already.
+    ``said`` is the part that was read already.
     """
     pipe = _own_input() if os.name == "nt" else 0
 
@@ -181,7 +183,7 @@ def _heed_parent(cancelling: Cancelling, said: bytes) -> None:
             os.killpg(0, signal.SIGKILL)
         elif os.name == "nt":
             cancelling.ask()
-            time.sleep(_GRACE_S + 0.3)  # the cancel ends it before, as a rule
+            time.sleep(_GRACE_S + 0.3)  # usually the cancel has ended it before
         os._exit(1)
 
     threading.Thread(target=watch, args=(said,), name="watch-parent", daemon=True).start()
@@ -210,22 +212,22 @@ def main(arguments: list[str]) -> int:
     def begin(cancelling: Cancelling) -> Asked:
         line, rest = _first_line() if arguments[1:] == ["-"] else (b"", b"")
         if os.environ.get("REPM_ENGINE_WATCH_STDIN"):
-            _heed_parent(cancelling, rest)
+            _watch_parent(cancelling, rest)
         return lambda: _asked_for(arguments, line)
 
     return serve(JsonLines(own_output()), begin)
 
 
 def own_output() -> TextIO:
-    """Standard output for our lines alone: native libraries print to it at will, see :func:`serve`."""
+    """A standard output for our lines only: native libraries print to the original one, see :func:`serve`."""
     return os.fdopen(os.dup(1), "w", encoding="utf-8")
 
 
 def serve(lines: JsonLines, begin: Callable[[Cancelling], Asked]) -> int:
     """Run a stage and send its lines; gives the exit code.
 
-    ``begin`` is called once signals are heard, and gives what reads the stage's name and job. From here on what is
-    printed to standard output goes to standard error.
+    ``begin`` is called when signals are handled, and gives the function that reads the stage's name and job. From here
+    on what is printed to standard output goes to standard error.
     """
     cancelling = Cancelling(lines)
     lines.cancelled_by(cancelling.asked)
@@ -234,9 +236,9 @@ def serve(lines: JsonLines, begin: Callable[[Cancelling], Asked]) -> int:
         end_children_with_us()
         os.dup2(2, 1)
         return _ended(begin(cancelling), lines, cancelling)
-    except Cancelled as cancelled:  # heard before the stage began, or while the last line was being prepared
+    except Cancelled as cancelled:  # a signal came before the stage began, or while the last line was being prepared
         cancelling.stop_listening()
-        return _said(cancelled, lines)
+        return _send_failure(cancelled, lines)
 
 
 def _ended(asked: Asked, lines: JsonLines, cancelling: Cancelling) -> int:
@@ -247,18 +249,18 @@ def _ended(asked: Asked, lines: JsonLines, cancelling: Cancelling) -> int:
         cancelling.stop_listening()
     except Exception as error:
         cancelling.stop_listening()
-        # Native code that was interrupted amid a callback turns the exception into one of its own.
-        return _said(Cancelled() if cancelling.asked() else error, lines)
+        # Native code that was interrupted in a callback turns the exception into one of its own.
+        return _send_failure(Cancelled() if cancelling.asked() else error, lines)
     lines.send(type="result", result=result)
     return 0
 
 
-def _said(error: Exception, lines: JsonLines) -> int:
+def _send_failure(error: Exception, lines: JsonLines) -> int:
     """Send the last line of a run that failed; gives its exit code."""
     if isinstance(error, RepmError):
         lines.send(type="error", kind=type(error).__name__, text=lines.translate(str(error)))
         return 1
-    # A part of the engine itself that is missing is no package.
+    # A missing part of the engine itself is not a missing package.
     if isinstance(error, ImportError) and not (error.name or "").startswith(__package__ or "repm_qgis"):
         reason = " ".join(str(error).split())[:300]  # numpy's has paragraphs
         missing = MissingPackageError(

@@ -1,7 +1,6 @@
-"""What a scene is called on the map, in reports and on pages: by the folder or file that says most, and the days.
-
-Folders such as "out" and files such as "dsm.tif" say nothing of a scene, nor do the temporary folders of QGIS; then the
-folder around them names it, or the images.
+"""What a scene is called on the map, in reports and on pages: by the most telling folder or file name, and the days.
+Folders such as "out", files such as "dsm.tif" and temporary folders of QGIS do not identify a scene; then the folder
+around them names it, or the images.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ def period(taken: Sequence[str]) -> str:
 
 
 def folder_name(path: str) -> str:
-    """The name of a folder, or of the one around it where its own says nothing; "" where neither says anything."""
+    """The name of a folder, or of the one around it where its own is a common word; "" where both are."""
     if not path:
         return ""
     folder, home = Path(os.path.abspath(path)), Path.home()
@@ -150,7 +149,7 @@ def surface_days(path: str) -> List[str]:
 
 
 def _is_plain(name: str) -> bool:
-    """Whether a name says nothing of a scene: a common word, with a short number or a cell size."""
+    """Whether a name does not identify a scene: a common word, with a short number or a cell size."""
     words = [word.lower() for word in re.split(r"[_\- ().]+", name) if word]
     telling = [word for word in words if word not in _PLAIN and not re.fullmatch(r"\d{1,3}m?", word)]
     plain_end = re.fullmatch(r"([^\W\d_]+)\d{1,3}", telling[0]) if len(telling) == 1 else None

@@ -1,8 +1,8 @@
 """The scene: the only thing that one stage hands to the next, read and written only here.
 
 A scene is a JSON file with a schema number; a stage's products lie in folders next to it that have its name. It may be
-moved or copied with these: it names files below its own folder from there, and other files by their whole path, from
-which it finds them again where they moved with it.
+moved or copied with these: it names files below its own folder from there, and other files by their whole path, and
+also finds them where they moved together with it.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _MAX_SCENE_BYTES = 512 << 20
 _FIRST_STAGE = "'Fit equivalent pinhole cameras'"
 _CHOOSE = f"choose the scene.json that {_FIRST_STAGE} wrote."
 _GSD_M = 0.01, 1000.0
-_GSD_RATIO = 1.3  # between what RPC and image say: relief and oblique views make less, resampled pixels more
+_GSD_RATIO = 1.3  # between the GSDs of RPC and image: relief and oblique views cause less, resampled pixels more
 _IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 Side = Annotated[int, Number(1, MOST_SIDE_PX, "px", whole=True)]
@@ -95,10 +95,10 @@ class View(Record):
     UTC, and ``sensor`` by which satellite (a name of ``imagery/sensors.py``), "" where they are unknown. ``mask`` is a
     raster of the image's size whose pixels that are neither zero nor nodata are not to be used, "" where there is none.
     ``part`` is the window that shows the area of the run, None for the whole image: statistics are taken there.
-    ``content`` tells the image from another one that takes its name, "" where that cannot be told. ``plane`` is the map
-    that an ortho-ready image was projected to, None for an image in its sensor's geometry: then ``rpc`` gives lines of
-    sight only, and ``model`` the pixels. ``jitter`` are waves of the attitude, which come on top of the pointing; None
-    where none are known.
+    ``content`` is a digest that distinguishes the image from another one with its name, "" where there is none.
+    ``plane`` is the map that an ortho-ready image was projected to, None for an image in its sensor's geometry: then
+    ``rpc`` gives lines of sight only, and ``model`` the pixels. ``jitter`` are waves of the attitude, which come on top
+    of the pointing; None where none are known.
     """
 
     name: Name
@@ -140,8 +140,8 @@ class View(Record):
 
     @property
     def missing(self) -> List[str]:
-        """Its image and mask, as far as they are not where they should be; what GDAL reads from elsewhere is taken for
-        being there."""
+        """Its image and mask, as far as they are not where they should be; files that GDAL reads from elsewhere are
+        assumed to exist."""
         files = [file for file in (self.image, self.mask) if os.path.isabs(file)]
         return [file for file in files if not (file.startswith("/vsi") or os.path.exists(file))]
 
@@ -235,7 +235,7 @@ class Tile(Record):
         return cls.from_mapping({**values, "views": views})
 
     def misplaced(self, views: Mapping[str, View]) -> str:
-        """What of the tile does not belong to a scene with these views; "" where all does."""
+        """The part of the tile that does not belong to a scene with these views; "" where all does."""
         for name, seen in self.views.items():
             if name not in views:
                 return f"has a view '{name}', which the scene does not have"
@@ -307,13 +307,13 @@ class Scene(Record):
                 or len(values) < 2
                 or Jitter(float(values[0, 0]), float(values[0, 1]), values[1:]).contradiction()
             ):
-                return f"has a registration with waves of '{name}' that are none"
+                return f"has a registration with invalid waves of '{name}'"
         if self.refinement == "terrain" and not self.surface:
             return "has the refinement 'terrain', and no surface"
         return ""
 
     def _within_images(self) -> bool:
-        """Whether tiles and area are no larger than what images of these sizes can show; products are as large."""
+        """Whether tiles and area are no larger than images of these sizes can show; products would be as large."""
         longest = [2.0 * math.hypot(*view.size) * view.gsd_m + 10.0 for view in self.views]
         outline, tiles = bounds_of_wkt(self.area), [tile.bounds for tile in self.tiles]
         whole = enclosing([*tiles, outline] if outline else tiles)
@@ -325,7 +325,7 @@ class Scene(Record):
         return [figures.pair for figures in self.pointing.pairs] if self.pointing else []
 
     def view(self, name: str) -> View:
-        """A view by its name; raises SceneError with the names there are."""
+        """A view by its name; raises SceneError with the names that exist."""
         views = {view.name: view for view in self.views}
         if name not in views:
             raise SceneError(f"The scene '{self.path}' has no view '{name}': it has {', '.join(views)}.")
@@ -337,13 +337,13 @@ class Scene(Record):
         return (times[0], times[-1]) if times else None
 
     def require_images(self) -> None:
-        """Raise SceneError with the images and masks that are not where the scene knows them, nor moved with it, and
-        with images that are others than those it was made from."""
+        """Raise SceneError with the images and masks that are not at their stored place and did not move with the
+        scene, and with images that are others than those it was made from."""
         missing = [file for view in self.views for file in view.missing]
         if missing:
             names = ", ".join(f"'{file}'" for file in missing)
             raise SceneError(
-                f"The scene '{self.path}' needs {names}, which is not there: put the image back, or run "
+                f"The scene '{self.path}' needs {names}, which is not there: restore the image, or run "
                 f"{_FIRST_STAGE} again with the images where they are now."
             )
         self.require_same_images()
@@ -353,7 +353,7 @@ class Scene(Record):
         replaced = ", ".join(f"'{view.image}'" for view in self.views if view.replaced)
         if replaced:
             raise SceneError(
-                f"The scene '{self.path}' was made from other pixels than {replaced} has now: put the image back, or "
+                f"The scene '{self.path}' was made from other pixels than {replaced} has now: restore the image, or "
                 f"run {_FIRST_STAGE} again with this one."
             )
 
@@ -379,7 +379,7 @@ class Scene(Record):
 
     @property
     def placed(self) -> str:
-        """What has given the scene its absolute position, one of ``PLACED``; "" where only the RPCs have."""
+        """How the scene's absolute position was determined, one of ``PLACED``; "" for the RPCs alone."""
         if self.registration is not None:
             return PLACED[0]
         return PLACED[1] if self.pointing is not None and self.pointing.controlled else ""
@@ -475,7 +475,7 @@ def folder_of(scene: Path, kind: str) -> Path:
     return scene.parent / f"{scene.stem}_{kind}"
 
 
-_BELOW = "./"  # how a stored path begins that is relative to the scene's folder
+_BELOW = "./"  # the beginning of stored paths that are relative to the scene's folder
 
 
 def _stored(folder: str, path: str) -> str:
@@ -558,8 +558,8 @@ def serves(path: str, stage: str) -> bool:
 
 
 class GroundSeen(NamedTuple):
-    """What images show at most together: the finest ground sampling distance at which they can be matched and the
-    longest side, m; their place."""
+    """Upper bounds of what images can show together: the finest ground sampling distance at which they can be matched
+    and the longest side, m; their place."""
 
     gsd_m: float
     side_m: float
@@ -574,7 +574,8 @@ class GroundSeen(NamedTuple):
 
 
 def ground_of(path: str) -> Optional[GroundSeen]:
-    """What a scene's images show, from its views alone, which is fast; None where the file is no scene."""
+    """The :class:`GroundSeen` of a scene's images, from its views only, which is fast; None where the file is no
+    scene."""
     try:
         entries = typed(Tuple[Any, ...], _document(path).get("views"))
         views = [View.from_mapping(mapping(entry)) for entry in entries]
@@ -584,7 +585,7 @@ def ground_of(path: str) -> Optional[GroundSeen]:
 
 
 def reusable(path: str, stage: str, key: str) -> Optional[Scene]:
-    """The scene at ``path`` if its last stage was this one, made from the very same things; else None."""
+    """The scene at ``path`` if its last stage was this one, with the same fingerprint; else None."""
     if not os.path.exists(path):
         return None
     try:
@@ -639,11 +640,11 @@ def load_view(
         columns, rows, band = dataset.RasterXSize, dataset.RasterYSize, grey_band(dataset)
         when, sensor = acquired(dataset, path), sensor_of(dataset, path)
         stated = tuple(stated_spacings(dataset))
-    with opened_masked(path, mask):  # a mask that does not fit is reported now, not later in a worker
+    with opened_masked(path, mask):  # a mask of the wrong size is reported now, not later in a worker
         mask = os.path.abspath(mask) if os.path.exists(mask) else mask
     if min(columns, rows) < 64:
         raise ImageError(f"'{path}' is only {columns} x {rows} px: matching needs at least 64 px a side.")
-    taken = {view.name.lower() for view in others}  # files of products: most systems do not tell cases apart
+    taken = {view.name.lower() for view in others}  # products are named after it: most file systems ignore case
     name = file_name(name_of(path))
     while name.lower() in taken:
         name = f"{name}_{len(others) + 1}"
@@ -653,7 +654,7 @@ def load_view(
         if not 1 / _GSD_RATIO <= metres / gsd <= _GSD_RATIO:
             raise RpcInvalidError(
                 f"The RPC of '{path}' gives pixels of {gsd:.3g} m on the ground, but {where} says {metres:.3g} m: if "
-                "the image was resampled, give the RPC of these pixels; else correct or remove what is wrong."
+                "the image was resampled, give the RPC of these pixels; otherwise correct or remove the wrong one."
             )
     content = content_of(path)
     view = View(name, image, band, columns, rows, rpc, gsd, acquired=when, mask=mask, sensor=sensor, content=content)

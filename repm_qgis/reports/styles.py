@@ -104,7 +104,7 @@ def style_text(
         text = text.replace("@arrow@\n", (RESOURCES / "styles" / "arrow.xml").read_text(encoding="utf-8"))
         text = text.replace("@scale@", f"{10.0 / length:.6g}").replace("@length@", f"{length:g}")
     text = text.replace("@elevation@", str(int(kind == "dsm"))).replace("@temporal@", _temporal(kind, taken))
-    return _said(text)
+    return _in_readers_language(text)
 
 
 def _has_colours(path: str | os.PathLike[str]) -> bool:
@@ -124,7 +124,7 @@ def _stretched(template: str, path: str | os.PathLike[str]) -> str:
     return template
 
 
-def _said(style: str) -> str:
+def _in_readers_language(style: str) -> str:
     """A style with its labels in the reader's language, which a comment records."""
     if reader().language == SOURCE_LANGUAGE:
         return style

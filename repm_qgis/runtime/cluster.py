@@ -178,7 +178,7 @@ def _facts() -> Callable[[Sequence[str]], Dict[str, Any]]:
     return facts
 
 
-def _seen(files: Dict[str, int], probes: Dict[str, str]) -> List[Tuple[str, str]]:
+def _unusable_here(files: Dict[str, int], probes: Dict[str, str]) -> List[Tuple[str, str]]:
     """What a worker cannot use, and why: files by their sizes, -1 for folders, and folders by a file's text in them."""
     wrong = []
     for path, size in files.items():
@@ -261,7 +261,7 @@ def _require_shared(
             with open(probe, "w", encoding="ascii") as stream:
                 stream.write(text)
             probes[probe] = text
-        answers = _ask(client, _seen, files, probes)
+        answers = _ask(client, _unusable_here, files, probes)
     finally:
         for probe in probes:
             with suppress(OSError):

@@ -18,7 +18,7 @@ from ..runtime.progress import Progress
 from ..runtime.shortage import shortage_as_error
 from ..runtime.workspace import following_links_of
 
-if TYPE_CHECKING:  # QGIS asks for the options alone
+if TYPE_CHECKING:  # QGIS needs the options only
     from .parameters import EngineParameters
 
 STAGES: dict[str, type[_options.Options]] = {
@@ -62,7 +62,7 @@ def run_stage(
 
 
 def _texts(options: Any) -> Iterator[str]:
-    """All texts of a job: the paths among them are those that the user has named."""
+    """All texts of a job: some of them are paths that the user has named."""
     if isinstance(options, str):
         yield options
     elif isinstance(options, Mapping):

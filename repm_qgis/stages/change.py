@@ -30,7 +30,7 @@ def _changed(options: ChangeOptions, progress: Progress) -> Dict[str, Any]:
         progress.warn(text)
     for product in products_of("change"):
         path = getattr(options, product.option)
-        if product.style and path:  # both rasters have the same colours, in which what is not significant is pale
+        if product.style and path:  # both rasters have the same colours; changes that are not significant are pale
             write_style(product.style, path, (-found.shown_m, found.shown_m))
     if options.report:
         progress.step(0.92, "Report")
@@ -68,8 +68,8 @@ def _log(found: Found, progress: Progress) -> None:
     )
     plan = CHANGE.detection
     progress.info(
-        f"A change must stand out by {plan.support:g} times the level of flat ground, or by {plan.support_alone:g} "
-        "times where a height comes from one height map only or no confidence rasters are given."
+        f"A change must exceed the level of flat ground {plan.support:g} times, or {plan.support_alone:g} times where "
+        "a height comes from one height map only or no confidence rasters are given."
     )
     gains, losses = found.total(True), found.total(False)
     progress.info(

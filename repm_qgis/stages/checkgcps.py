@@ -110,7 +110,8 @@ def _log_heights(found: GcpAccuracy, progress: Progress) -> None:
 
 
 def _checked(found: GcpAccuracy, column: str) -> str:
-    """What check points alone say, where there are control points too: these may have made what they would judge."""
+    """The errors of check points alone, where there are control points too: these may have been used to make the
+    product."""
     check = found.summary(column, "height", "check")
     if not check.count or check.count == found.summary(column, "height").count:
         return ""

@@ -22,8 +22,8 @@ def require_distinct(stage: str, options: Options) -> None:
     """Raise OptionError for a product whose path is that of another one, or of a file that the stage reads.
 
     Links are followed, and the files that belong to an image, and those that a scene names, are compared too. A stage
-    may write its scene over the one that it reads, which it continues. Names that differ in case alone are one where
-    the file system takes them for one. Raises WorkspaceError for a file that another program keeps from being replaced,
+    may write its scene over the one that it reads, which it continues. Names that differ only in case are the same
+    where the file system ignores case. Raises WorkspaceError for a file that another program keeps from being replaced,
     or that an OBJ's picture or material would replace.
     """
     written = [(each, path) for each, path in paths_of(stage, options) if each.form != FOLDER]
@@ -82,12 +82,12 @@ def _files(name: str, path: str, stage: str) -> List[str]:
 
 
 def _files_of_scene(path: str, stage: str) -> List[str]:
-    """A scene's file and those that it names, but for what the stage makes again."""
+    """A scene's file and those that it names, except files that the stage makes again."""
     if stage == "pipeline":  # its own scenes, in its workspace
         return [path]
     try:
         scene = Scene.load(path)
-    except (SceneError, ImageError):  # the stage says what is wrong
+    except (SceneError, ImageError):  # the stage reports what is wrong
         return [path]
     files = [path]
 

@@ -64,7 +64,7 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     require_same = _same_images(scene, [*(plan.files if plan else ()), *(spectra.files if spectra else ())])
     bands = len(plan.names) if plan else 0
     require_space("fusion", fusion_needs(scene, _matched(scene), options, layout.grid.cell, bands), progress)
-    whole = 1.0 / (1.0 + 0.7 * len(pairs))  # of the progress, for what all pairs make together
+    whole = 1.0 / (1.0 + 0.7 * len(pairs))  # of the progress, for the products of all pairs together
     with kept_until_done(scene.folder("fusion"), "dsmfuse", progress) as kept, _draped(options, kept) as draped:
         fusion = replace(Fusion.in_folder(kept, draped, parameters, scene, layout), spectra=spectra)
         drop_others(kept, fusion.folder)
@@ -96,7 +96,7 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
 
 
 def _laid_out(scene: Scene, options: DsmFuseOptions, progress: Progress, parameters: EngineParameters) -> DsmLayout:
-    """The DSM's cells; what cannot be made is refused here.
+    """The DSM's cells; options that cannot be met are refused here.
 
     Raises SceneError, OptionError, MissingPackageError and WorkspaceError.
     """
@@ -126,7 +126,8 @@ def _laid_out(scene: Scene, options: DsmFuseOptions, progress: Progress, paramet
 
 @contextmanager
 def _draped(options: DsmFuseOptions, folder: Path) -> Iterator[DsmFuseOptions]:
-    """The options with all rasters that a page drapes, where one is asked for: temporary ones if nobody keeps them."""
+    """The options with all rasters that a page drapes, where one is asked for: temporary ones if they are no
+    products."""
     if not options.viewer:
         yield options
         return
@@ -147,7 +148,7 @@ def reconstructed(path: str) -> Scene:
 def colours_of(
     scene: Scene, options: DsmFuseOptions, progress: Progress, parameters: EngineParameters = ENGINE
 ) -> Optional[ColourPlan]:
-    """The colours of what is asked for; None where there are none, or where nothing shows them."""
+    """The colours of the requested products; None where there are none, or where no product shows them."""
     shown = options.ortho, options.cloud, options.ept, options.mesh, options.viewer
     if not any(shown) or options.colour == "greys":
         return None
@@ -165,7 +166,7 @@ def spectra_of(
     progress: Progress,
     parameters: EngineParameters = ENGINE,
 ) -> Optional[Spectra]:
-    """The multispectral images that tell water from land; None where nobody asks for water, or none can."""
+    """The multispectral images that distinguish water from land; None where water is not requested, or no image can."""
     if not (options.water_mask or options.water == "flatten"):
         return None
     sources = water_sources(scene, options, plan, progress, parameters.ortho.sharpening)
@@ -187,7 +188,7 @@ def _require_others(options: DsmFuseOptions, images: Iterable[str]) -> None:
 
 def _same_images(scene: Scene, images: Iterable[str]) -> Callable[[], None]:
     """What raises SceneError where an image of the scene is another one than it was made from, and ImageError where one
-    of these ``images``, which are read for their colours alone, is another one than now."""
+    of these ``images``, which are read for their colours only, has been replaced since this call."""
     known = {real_path(view.image) for view in scene.views}
     files = [path for path in images if real_path(path) not in known]
     before = {path: content_of(path) for path in files}
@@ -214,8 +215,8 @@ def _orthophoto(
     require_same: Callable[[], None],
     progress: Progress,
 ) -> str:
-    """Make the orthophoto from the finished DSM, in colour where there is a plan, and a temporary one if nobody keeps
-    it; gives its path."""
+    """Make the orthophoto from the finished DSM, in colour where there is a plan, and a temporary one if it is no
+    product; gives its path."""
     wanted, folder = fusion.options.ortho, str(fusion.folder)
     path, numbers = wanted or f"{folder}/colours.tif", fusion.parameters.ortho
     make = partial(make_colour_ortho, plan) if plan else partial(make_grey_ortho, nadir_first(fusion.scene))
@@ -288,7 +289,7 @@ def _derived(finished: FinishedDsm, progress: Progress) -> Dict[str, Optional[st
 
 
 def _each_alone(fusion: Fusion, pairs: List[Tuple[str, str]], progress: Progress) -> None:
-    """The surface that each pair alone sees, with its confidence, on the DSM's cells: what the DSM was made of."""
+    """The surface of each pair alone, with its confidence, on the DSM's cells: the parts that the DSM was made of."""
     for index, pair in enumerate(pairs):
         alone = _alone(fusion, pair)
         try:
@@ -300,7 +301,7 @@ def _each_alone(fusion: Fusion, pairs: List[Tuple[str, str]], progress: Progress
 
 
 def _alone(fusion: Fusion, pair: Tuple[str, str]) -> Fusion:
-    """What one pair alone makes, into the folder of VIEW_HEIGHTS."""
+    """Make the surface of one pair alone, in the folder of VIEW_HEIGHTS."""
     own = fusion.scene.with_tiles(lambda t: replace(t, heights=tuple(r for r in t.heights if r.pair == pair))).tiles
     tiles, windows = zip(*((tile, window) for tile, window in zip(own, fusion.layout.windows) if tile.heights))
     # Without the DEM, which all pairs together are compared with.
@@ -317,19 +318,19 @@ def _round_cell(cell: float) -> float:
 
 
 def _log(options: DsmFuseOptions, parameters: EngineParameters, facts: FusionFacts, progress: Progress) -> None:
-    """What was filtered and filled, in the log."""
+    """Log the cells that were filtered and filled."""
     radius = options.outlier_radius
     if radius > 0:
         least = needed_neighbours(facts.resolution, radius, parameters.fusion.outliers)
         progress.info(
-            f"Removed {facts.removed} isolated cells: fewer neighbours within {radius:g} m than needed ({least})."
+            f"Removed {facts.removed} isolated cells: they had fewer than {least} neighbours within {radius:g} m."
         )
     counts = facts.matched, facts.background, facts.interpolated
     matched, background, interpolated = (100.0 * count / facts.cells for count in counts)
     progress.info(
         f"Heights in {facts.valid_percent:.1f} % of {facts.cells} cells that two images see: "
-        f"{matched:.1f} % matched, {background:.1f} % from the ground behind occlusions and in shadows and from the "
-        f"cells beside them, {interpolated:.1f} % interpolated."
+        f"{matched:.1f} % matched, {background:.1f} % from the ground behind occlusions and in shadows and from "
+        f"neighbouring cells, {interpolated:.1f} % interpolated."
     )
     if facts.dem_offset is not None:
         say = progress.warn if facts.dem_offset.unexpected else progress.info
@@ -338,5 +339,5 @@ def _log(options: DsmFuseOptions, parameters: EngineParameters, facts: FusionFac
         cells = f"{facts.interpolated} cells of '{options.output}' are interpolated, not measured"
         progress.warn(f"{cells}: ask for CONFIDENCE to see which (band 4).")
     if facts.valid_percent < parameters.tiles.few_cells_percent:
-        advice = "look at the confidence and at the reconstruction's report before you use this DSM"
+        advice = "check the confidence and the reconstruction's report before you use this DSM"
         progress.warn(f"Only {facts.valid_percent:.0f} % of the cells have a height: {advice}.")

@@ -34,7 +34,7 @@ _RASTERS = {  # option: the name of the band, and its unit
 
 
 def run(options: DtmOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
-    """Find the ground, and write the terrain and what stands on it; gives the products' paths and shares of cells.
+    """Find the ground, and write the terrain and the objects on it; gives the products' paths and shares of cells.
 
     Raises ImageError for a DSM or a confidence raster that cannot be used, SceneError for such a scene,
     EmptyResultError where no ground is left, WorkspaceError, OutOfMemoryError and ClusterError.
@@ -121,7 +121,7 @@ def _made(
 
 
 def _write(task: Tuple[Dict[str, str], Surface, List[blocks.Block]], progress: Progress) -> None:
-    """The rasters with their styles; all of them take their names when the last one is whole."""
+    """The rasters with their styles; all of them get their names when the last one is complete."""
     paths, surface, made = task
     shape = (surface.size[1], surface.size[0])
     with ExitStack() as stack:

@@ -1,4 +1,4 @@
-"""What makes no sense for these images is refused before any work: dialogs ask the same as the engine.
+"""Options that make no sense for these images are refused before any work: dialogs use the same checks as the engine.
 
 Reads RPCs and scene files, nothing else: it takes milliseconds for each image.
 """
@@ -34,7 +34,7 @@ def require_sensible(options: Options, parameters: EngineParameters = ENGINE) ->
     """
     if isinstance(options, SampleDataOptions):
         _require_memory(options)
-    seen = _seen(options, parameters.tiles)
+    seen = _ground_shown(options, parameters.tiles)
     if seen is None:
         return
     for part in options.parts():
@@ -44,7 +44,7 @@ def require_sensible(options: Options, parameters: EngineParameters = ENGINE) ->
             most = _two_digits(parameters.fusion.outliers.most_cells * cell)
             if part.outlier_radius and part.outlier_radius > most:
                 reason = f"must be at most {most:g} m, {parameters.fusion.outliers.most_cells:g} cells of the DSM"
-                wide = f"{reason}: neighbours farther away say nothing, and to count them takes hours"
+                wide = f"{reason}: neighbours farther away are no evidence, and counting them takes hours"
                 raise OptionError("OUTLIER_RADIUS", part.outlier_radius, wide)
             HeightDatum.of(part.vertical_datum).require(seen.lon, seen.lat)
         if isinstance(part, (ReconstructOptions, CheckGcpsOptions)) and part.gcps:
@@ -64,8 +64,9 @@ def _require_memory(options: SampleDataOptions) -> None:
         raise OptionError("SIZE", options.size, f"{takes}: choose at most {most} px")
 
 
-def _seen(options: Options, parameters: TileParameters) -> Optional[GroundSeen]:
-    """What the images show; None where a stage has none, or a scene that the stage itself will refuse."""
+def _ground_shown(options: Options, parameters: TileParameters) -> Optional[GroundSeen]:
+    """The ground that the images show; None where a stage has no images, or a scene that the stage itself will
+    refuse."""
     if isinstance(options, PipelineOptions):
         return GroundSeen.of(views_of(options.fit, parameters.least_overlap_px))
     if isinstance(options, (DsmFuseOptions, ReconstructOptions, RegisterOptions, CheckGcpsOptions)) and options.scene:
@@ -83,8 +84,8 @@ def require_cell(cell_m: float, side_m: float, gsd_m: float, parameters: TilePar
         raise OptionError(
             "RESOLUTION",
             cell_m,
-            f"must be at least {finest:g} m, a quarter of the images' ground sampling distance of {gsd_m:.2g} m: finer "
-            "cells hold nothing more, and take hours; 0 chooses a suitable size",
+            f"must be at least {finest:g} m, a quarter of the images' ground sampling distance of {gsd_m:.2g} m: "
+            "finer cells add no detail, and take hours; 0 chooses a suitable size",
         )
     if cell_m * parameters.least_cells > side_m:
         coarsest = _two_digits(side_m / parameters.least_cells)

@@ -1,4 +1,4 @@
-"""Apply edits to a DSM: what an analyst removed, filled, flattened or drew, in the order of the records.
+"""Apply edits to a DSM: what an analyst removed, filled, flattened or drew is applied in the order of the records.
 
 The original stays as it is, and the edited DSM is made of it and the records alone: an edit is undone by deleting or
 disabling its record. The product's metadata hold the records and what identifies the original.
@@ -40,7 +40,7 @@ def run(options: EditDsmOptions, progress: Progress, parameters: EditingParamete
     """Copy the DSM, apply the edits that are enabled, and write the result.
 
     Raises ImageError for a DSM or a confidence raster that cannot be used, InputTableError for a record that is none,
-    EmptyResultError for an edit that has nothing to take its heights from, and WorkspaceError.
+    EmptyResultError for an edit that finds no heights to use, and WorkspaceError.
     """
     surface = surface_of(options.dsm, options.confidence)
     grid = Grid(options.dsm, surface.size, surface.transform, surface.crs)
@@ -95,7 +95,7 @@ def run(options: EditDsmOptions, progress: Progress, parameters: EditingParamete
 
 
 def _kept(dsm: str) -> Dict[str, str]:
-    """What the DSM's metadata say of its scene, days and datum."""
+    """The DSM's metadata about its scene, days and datum."""
     with raster.opened(dsm) as dataset:
         tags = {as_text(name): as_text(value) for name, value in (dataset.GetMetadata() or {}).items()}
     return {name: value for name, value in tags.items() if name.startswith("REPM_") or name == DEVIATION_TAG}

@@ -1,4 +1,5 @@
-"""Report what is installed for the engine, what is missing, and what this machine has; or install what is missing."""
+"""Report what is installed for the engine, what is missing, and what hardware this machine has; or install what is
+missing."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ def _key(options: EpmFitOptions, parameters: EngineParameters = ENGINE) -> str:
 
 
 def _masks_are_there(scene: Scene) -> bool:
-    """Whether none of the masks is gone, which the fit itself may have made."""
+    """Whether all masks are still there; the fit itself may have made some."""
     return all(os.path.exists(view.mask) or view.mask.startswith("/vsi") for view in scene.views if view.mask)
 
 
@@ -103,8 +103,8 @@ def _without_collars(views: Sequence[View], folder: Path, progress: Progress) ->
         if share:
             looked_at = f"the part of '{view.name}' around EXTENT" if view.part else f"'{view.name}'"
             progress.info(
-                f"{100 * share:.1f} % of {looked_at} are black from the image's ends on, and no nodata value says so: "
-                "they are left out."
+                f"{100 * share:.1f} % of the pixels of {looked_at} are black margins that no nodata value marks: they "
+                "are left out."
             )
         found.append(replace(view, mask=target) if share else view)
     return tuple(found)
@@ -206,7 +206,7 @@ def _crs(options: EpmFitOptions, views: Sequence[View]) -> str:
 def _area(
     views: Sequence[View], crs: str, altitudes: Altitudes, options: EpmFitOptions, parameters: TileParameters
 ) -> ogr.Geometry:
-    """The ground that two views see at some altitude of the range, within the extent asked for."""
+    """The ground that two views see at some altitude of the range, within the requested extent."""
     levels = np.linspace(*altitudes, parameters.area_altitudes)
     outlines = [[projected_from_geodetic(crs, footprint(v.localise, v.size, z)) for v in views] for z in levels]
     area = seen_twice(outlines)
@@ -232,16 +232,15 @@ def _area(
 
 
 def _range_text(bounds: Sequence[float]) -> str:
-    """Bounds xmin, ymin, xmax, ymax as people read them: degrees to a metre or so, metres whole."""
+    """Bounds xmin, ymin, xmax, ymax as text: degrees to a metre or so, metres whole."""
     digits = 5 if max(map(abs, bounds)) <= 360 else 0
     xmin, ymin, xmax, ymax = (f"{value:.{digits}f}" for value in bounds)
     return f"x {xmin} to {xmax}, y {ymin} to {ymax}"
 
 
 def _extent(options: EpmFitOptions, extent: Extent, crs: str, area: ogr.Geometry) -> ogr.Geometry:
-    """What the extent asked for has of the surroundings of an area, as its bounding box in the scene's CRS.
-
-    What lies far away has no place in that CRS: an extent may be the whole Earth.
+    """The requested extent, cut to the surroundings of an area, as its bounding box in the scene's CRS. Places far away
+    have no coordinates in that CRS: an extent may be the whole Earth.
     """
     try:
         transformer = pyproj.Transformer.from_crs(options.extent_crs, crs, always_xy=True)
@@ -307,7 +306,7 @@ def fit_tile(scene: Scene, ground: GroundTile) -> Tuple[Tile, List[Any]]:
 
 
 def _require_count(scene: Scene, area: ogr.Geometry, size: int, parameters: TileParameters) -> None:
-    """Raise OptionError where so small tiles would be too many."""
+    """Raise OptionError where tiles of this size would be too many."""
     xmin, ymin, xmax, ymax = bounds_of(area)
     sides = (xmax - xmin) / scene.gsd_m, (ymax - ymin) / scene.gsd_m
     count = math.ceil(sides[0] / size) * math.ceil(sides[1] / size)

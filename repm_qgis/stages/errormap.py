@@ -107,7 +107,7 @@ def error_at(
 ) -> Tuple[FloatArray, FloatArray]:
     """(..., 2) pinhole minus RPC pixel at ground nodes, the refined camera's where there is one; and the RPC pixel."""
     ground = np.concatenate([lon_lat, np.full(lon_lat.shape[:-1] + (1,), altitude)], axis=-1)
-    # The vendor's RPC: pointing corrections, found later, are no fault of the camera.
+    # The vendor's RPC: pointing corrections, found later, are no error of the camera.
     pixels = view.model.project(ground)
     fitted = tile.views[view.name]
     enu = scene.frame.from_geodetic(ground)

@@ -33,7 +33,7 @@ def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, Any]:
     scene = Scene.load(options.scene)
     scene.require_images()
     tiles = _tiles(scene, options.tile)
-    # All of it is looked at before anything is written.
+    # Everything is checked before anything is written.
     refined = scene.record_of("refine")
     reuse = refined is not None and refined.options.get("kernel") == options.kernel
     models = [written_as.prepare(_model(scene, tile, reuse, options.centre)) for tile in tiles]
@@ -66,7 +66,8 @@ def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, Any]:
         if view.jitter is not None:
             progress.warn(
                 f"A camera cannot hold the jitter of {view.name}, waves of up to {view.jitter.most_px:.2f} px over its "
-                "lines: only their mean is in it, and software that uses the cameras sees the rest."
+                "lines: the camera only contains their mean, and products of software that uses the cameras contain "
+                "the rest."
             )
     progress.step(1.0, "cameras exported")
     return {"folder": str(folder), "models": [str(place) for place in places], "images": count}
@@ -88,7 +89,7 @@ def _model(scene: Scene, tile: Tile, reuse_images: bool, centre: bool) -> TileMo
 
 
 def _check_place(place: Path, layout: str) -> None:
-    """Raise WorkspaceError where something else than an earlier export of this format would have to go."""
+    """Raise WorkspaceError where the export would replace anything but an earlier export of this format."""
     if not place.exists() or (place.is_dir() and not any(place.iterdir())):
         return
     try:
@@ -122,13 +123,13 @@ def _write_model(
             mask: Optional[str] = written_as.mask(image)
             mask_path, stretch = folder / mask if mask else None, stretches.get(view.name)
             write_image(view, folder / image, mask_path, stretch, options.kernel, progress)
-        scene.require_same_images()  # before the folder takes its name
+        scene.require_same_images()  # before the folder gets its name
         written_as.write(model, images, folder)
         write_text(str(folder / _FRAME_FILE), json.dumps(_frame(model, images, options), indent=1, allow_nan=False))
 
 
 def _frame(model: TileModel, images: Tuple[str, ...], options: ExportCamerasOptions) -> Dict[str, Any]:
-    """Where the cameras' world lies on the earth, and what became of each image."""
+    """Where the cameras' world lies on the Earth, and the file of each image."""
     origin, ecef = model.frame.to_mapping(), model.frame.ecef_from_enu.tolist()
     return {
         "format": _MARK,

@@ -103,7 +103,7 @@ def _record(exported: ExportedRpc) -> Dict[str, Any]:
 
 
 def _require_place(folder: Path) -> None:
-    """Raise WorkspaceError where something else than an earlier export would go with the folder."""
+    """Raise WorkspaceError where replacing the folder would delete anything but an earlier export."""
     others = [folder.name] if folder.is_file() else []
     if folder.is_dir():
         known = {_LIST, *(name + end for name in _listed(folder / _LIST) for end in ("", ".aux.xml", ".ovr"))}

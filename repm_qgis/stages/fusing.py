@@ -39,7 +39,7 @@ _TILES = 0.8  # of the fusion's progress, for the tiles
 @dataclass(frozen=True)
 class Fusion:
     """What is fused: a scene's tiles, which all have heights, on the layout's cells; ``folder`` is for fused tiles.
-    ``spectra`` tell water from land."""
+    ``spectra`` distinguish water from land."""
 
     options: DsmFuseOptions
     parameters: EngineParameters
@@ -94,8 +94,8 @@ def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredT
     blocks, gone = _chosen(fusion, joined, walls, Part(progress, _TILES, 1.0))
     if gone:
         progress.info(
-            f"Removed {counted(gone, 'cell')} of needles: a few cells far above all others around them, which only one "
-            "pair of images has."
+            f"Removed {counted(gone, 'cell')} of spikes: small groups of cells far above everything around them, "
+            "which only one pair of images has."
         )
     water: Optional[Water] = None
     if options.water == "flatten" or options.water_mask:
@@ -138,12 +138,12 @@ def _chosen(fusion: Fusion, joined: JoinedTiles, walls: bool, progress: Progress
 
 
 def _lights(fusion: Fusion, joined: JoinedTiles, progress: Progress) -> Tuple[Block, ...]:
-    """How bright the cells of all blocks are."""
+    """The intensities of the cells of all blocks."""
     numbers, grid = fusion.parameters.fusion, fusion.layout.grid.part(joined.crop)
-    witnesses: Witnesses = run_whole(_witnesses, fusion, progress, "reading brightness")
+    witnesses: Witnesses = run_whole(_witnesses, fusion, progress, "reading intensities")
     if len(witnesses.views) < len(fusion.scene.views):
         missing = counted(len(fusion.scene.views) - len(witnesses.views), "image")
-        progress.info(f"{missing} of the scene cannot be found: only the others say how bright the cells are.")
+        progress.info(f"{missing} of the scene cannot be found: the intensities of cells come from the others only.")
     around = numbers.brightness.hidden_cells
     tasks = [
         LightTask(block, wide, joined, grid, witnesses, numbers)
@@ -224,7 +224,7 @@ def _written(task: Tuple[Fusion, JoinedTiles, List[Block], Optional[Water]], pro
 
 
 def _dem_offset(fusion: Fusion, means: CoarseMeans, progress: Progress) -> Optional[DemOffset]:
-    """How far the DSM lies above the DEM; None, with the reason in the log, where that cannot be told."""
+    """How far the DSM lies above the DEM; None, with the reason in the log, where it cannot be measured."""
     scene, numbers = fusion.scene, fusion.parameters.registration
     height = means.means(numbers.covered)
     prior = prior_of(scene, fusion.parameters.pointing.planning, numbers)
@@ -239,7 +239,7 @@ def _dem_offset(fusion: Fusion, means: CoarseMeans, progress: Progress) -> Optio
 
 
 def _workers(fusion: Fusion, progress: Progress) -> int:
-    """How many workers the memory allows, by the tile that takes most."""
+    """How many workers the memory allows, by the tile that needs most."""
     options, sizes = fusion.options, [[record.pixels for record in tile.heights] for tile in fusion.scene.tiles]
     each = [fusing_mib(pixels, w.width * w.height) for pixels, w in zip(sizes, fusion.layout.windows)]
     xmin, ymin, xmax, ymax = fusion.scene.tiles[each.index(max(each))].bounds

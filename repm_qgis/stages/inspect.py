@@ -59,7 +59,7 @@ def run(options: InspectOptions, progress: Progress, parameters: EngineParameter
 
 
 def _estimate(seen: Sequence[float], tile_px: int) -> Optional[RunEstimate]:
-    """What matching takes of pairs that see so many pixels of ground each; None without a pair."""
+    """The time and memory of matching pairs that see so many pixels of ground each; None without a pair."""
     if not seen:
         return None
     tasks = sum(math.ceil(pixels / tile_px**2) for pixels in seen)

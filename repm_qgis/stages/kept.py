@@ -1,4 +1,5 @@
-"""Folders that keep what is finished of a long run until its products are whole, so that the next run continues."""
+"""Folders that keep the finished parts of a long run until its products are complete, so that the next run
+continues."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ def kept_until_done(folder: Path, stage: str, progress: Progress) -> Iterator[Pa
             except (Cancelled, ClusterError):
                 for path in folder.iterdir():
                     drop_temporaries(str(path))  # a worker that is ended while it writes cannot clean up
-                    with suppress(OSError):  # nothing was finished
+                    with suppress(OSError):  # no part was finished
                         path.rmdir()
                 raise
             except BaseException:
@@ -43,7 +44,7 @@ def kept_until_done(folder: Path, stage: str, progress: Progress) -> Iterator[Pa
 
 
 def drop_others(folder: Path, kept: Optional[Path] = None) -> None:
-    """Remove what was kept of all runs but one; what is not ours in the folder stays."""
+    """Remove the kept parts of all runs but one; files that are not ours stay."""
     for path in folder.iterdir():
         if path.is_dir() and path != kept and _FINGERPRINT.fullmatch(path.name):
             shutil.rmtree(path, ignore_errors=True)

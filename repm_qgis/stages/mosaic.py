@@ -108,7 +108,7 @@ def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: En
     )
     seam = _median(blocks)
     if seam is not None:
-        progress.info(f"Along the seams, two DSMs differ by {seam:.3f} m (median) before their heights are feathered.")
+        progress.info(f"Along the seams, two DSMs differ by {seam:.3f} m (median) before their heights are blended.")
     if options.report:
         page = mosaic_page(options, layout, overlaps, offsets=offsets, cells=cells, seam=seam, warnings=whole.warnings)
         page.of(mosaic_name(options.output, (*options.dsms, *options.scenes))).write(options.report)
@@ -150,7 +150,7 @@ def _surfaces(options: MosaicOptions, folder: str, progress: Progress, parameter
 
     confidences = options.confidences or ("",) * len(options.dsms)
     found = [Surface(path, path, error, fixed(path) or _stated(path)) for path, error in zip(options.dsms, confidences)]
-    placed = [_placed(path, progress) for path in options.scenes]  # what cannot be fused is said at once
+    placed = [_placed(path, progress) for path in options.scenes]  # scenes that cannot be fused are refused at once
     layout = layout_of(options, found, Silent()) if found and options.scenes else None
     for number, path in enumerate(options.scenes):
         if layout:
@@ -174,17 +174,17 @@ def _surfaces(options: MosaicOptions, folder: str, progress: Progress, parameter
 
 
 def _placed(path: str, progress: Progress) -> str:
-    """What has given a scene its absolute position; raises SceneError for one that cannot be fused."""
+    """How a scene's absolute position was determined; raises SceneError for one that cannot be fused."""
     progress.check_cancelled()
     return dsmfuse.reconstructed(path).placed
 
 
 def _stated(path: str) -> str:
-    """What a DSM of this plugin says has given it its absolute position; "" for other files."""
+    """How the absolute position of a DSM of this plugin was determined, as it states; "" for other files."""
     try:
         with opened(path) as dataset:
             tag = as_text(dataset.GetMetadataItem(PLACED_TAG) or "")
-    except ImageError:  # said where the layout is made
+    except ImageError:  # reported where the layout is made
         return ""
     return tag if tag in PLACED else ""
 
@@ -327,7 +327,8 @@ def _name_unexpected(
 def _name_displaced(
     layout: Layout, overlaps: Sequence[Overlap], parameters: OffsetParameters, progress: Progress
 ) -> None:
-    """Warn of DSMs that lie beside each other: an offset of their heights does not mend that."""
+    """Warn of DSMs that are horizontally displaced from each other: an offset of their heights does not correct
+    that."""
     most = max(parameters.most_displaced_m, parameters.most_displaced_cells * layout.grid.cell)
     displaced = sorted(
         (float(-np.hypot(*each.displaced)), layout.dsms[each.first].name, layout.dsms[each.second].name)
@@ -338,13 +339,13 @@ def _name_displaced(
         names = ", ".join(f"'{first}' and '{second}' by {-by:.1f} m" for by, first, second in displaced[:_FEW])
         more = f", and {counted(len(displaced) - _FEW, 'pair')} more" if len(displaced) > _FEW else ""
         progress.warn(
-            f"DSMs lie to the side of each other: {names}{more}; a mosaic moves heights only, so register them "
+            f"DSMs are displaced horizontally: {names}{more}; a mosaic only moves heights, so register them "
             "(repm:register), or check their CRS."
         )
 
 
 def _log(layout: Layout, overlaps: Sequence[Overlap], offsets: Offsets, progress: Progress) -> None:
-    """What was solved, a line for each DSM, and what the user has to know of it."""
+    """Log the solution, a line for each DSM, with the notes that the user needs."""
     for number, dsm in enumerate(layout.dsms):
         count = counted(sum(number in (each.first, each.second) for each in overlaps), "overlap")
         added, deviation = offsets.added[number], offsets.deviation[number]

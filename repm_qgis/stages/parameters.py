@@ -20,7 +20,8 @@ from ..terrain.parameters import TerrainParameters
 
 @dataclass(frozen=True)
 class TileParameters(Parameters):
-    """How the ground is divided, and when a stage has nothing to go on with. All values but the sizes are chosen."""
+    """How the ground is divided, and when a stage has too little data to continue. All values but the sizes are
+    chosen."""
 
     sizes_px: Tuple[int, ...] = (1300, 1200, 1000, 800)  # automatic ones; larger match no faster and take more memory
     least_overlap_px: int = 64  # side of the smallest area that two images must share
@@ -29,7 +30,7 @@ class TileParameters(Parameters):
     least_matched: int = 1000  # pixels with a height: below that, nothing was reconstructed
     least_matched_share: float = 0.01  # the same as a share of all pixels
     finest_cell_gsd: float = 0.25  # a finer cell of the DSM than so many ground sampling distances is refused: 16 cells
-    # for each pixel hold nothing that the matching found
+    # for each pixel contain no detail of the matching
     least_cells: int = 4  # along each side of a DSM: a coarser cell is refused
     most_tiles: int = 10_000  # 40,000 px a side in tiles of 400 px: more take days, and their scene half a gigabyte
     cell_gsd: float = 2.0  # side of an automatic cell of the DSM in ground sampling distances
@@ -65,7 +66,7 @@ class EngineParameters(Parameters):
         return replace(self, matching=replace(matching, sgm=matching.sgm.in_eight_directions()))
 
     def in_fingerprint(self) -> List[Any]:
-        """What a fingerprint has of the parameters: nothing of the defaults."""
+        """The part of the parameters that is in a fingerprint: only changes from the defaults."""
         changes = self.changes()
         return [changes] if changes else []
 

@@ -1,4 +1,4 @@
-"""From images to a DSM: the four stages in one workspace, each taken up where an earlier run left it."""
+"""From images to a DSM: the four stages in one workspace, each continued where an earlier run stopped."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from .early import require_cell
 from .parameters import ENGINE, EngineParameters
 
 _SHARES = {"epmfit": 0.15, "refine": 0.2, "reconstruct": 0.85, "register": 0.9, "dsmfuse": 1.0}
-"""How far the whole has come when each stage ends."""
+"""The progress of the whole at the end of each stage."""
 
 
 def run(options: PipelineOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
@@ -65,7 +65,7 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
         register.require_references(options.register, scene, progress, parameters)
     pairs = reconstruct.pairs_of(scene, options.reconstruct, parameters)
     backend = resolve(options.reconstruct.backend)[0]
-    if backend.name == "sgm" and not options.reconstruct.cluster:  # others were not measured
+    if backend.name == "sgm" and not options.reconstruct.cluster:  # other backends were not measured
         own_surface, workers = options.reconstruct.own_surface, options.reconstruct.workers
         paths = parameters.of_quality(options.reconstruct.quality).matching.sgm.paths
         progress.info(estimate_run(scene, pairs, own_surface, workers, paths).sentence())
@@ -103,7 +103,7 @@ def _needs(
 
 
 def _check_early(options: PipelineOptions, parameters: EngineParameters) -> None:
-    """What can be refused is refused before hours of matching."""
+    """Options that can be refused early are refused before hours of matching."""
     require(options.reconstruct.backend)
     for product, path in paths_of("pipeline", options):
         ensure_folder(path if product.form == FOLDER else str(Path(path).parent))

@@ -59,7 +59,8 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
     elsewhere: List[str] = []
     gcps = read_gcps(options.gcps, scene.views, options.gcp_datum, elsewhere.append) if options.gcps else []
     require_places(gcps, scene.views, options.gcps or "", parameters.pointing)
-    # Control points count by what they say: QGIS writes those of a layer into another temporary file for every run.
+    # The fingerprint takes the contents of control points: QGIS writes those of a layer into another temporary file for
+    # every run.
     control = [gcp.to_mapping() for gcp in gcps] or None
     chosen = backends[0].name, options.pointing, options.adjustment, options.own_surface, control
     files = [raster_identity(path) for v in scene.views for path in (v.image, v.mask) if path]
@@ -90,7 +91,7 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         scene = _matched(job, backends, parameters.tiles, Part(notes, 0.4, 0.98))
         part = Part(notes, 0.98, 1.0)
         scene = with_agreeing_maps(scene, options.workers, options.memory, part, parameters.fusion, matching)
-        scene.require_same_images()  # at the end, too: one may have been replaced amid the work
+        scene.require_same_images()  # at the end, too: one may have been replaced during the work
         seconds, changes = time.monotonic() - start, parameters.changes()
         done = scene.recorded("reconstruct", key, options.to_json(), seconds, notes.warnings, changes)
         done.save(options.output_scene)
@@ -120,7 +121,7 @@ def heights_folder(options: ReconstructOptions) -> str:
 def _stretches(scene: Scene, workers: int, parameters: EngineParameters, progress: Progress) -> Stretches:
     """Each view's stretch: an image without overviews is read as a whole for it."""
     tasks = [(view, parameters.stretch) for view in scene.views]
-    found = run_tasks(_stretch, tasks, workers, progress, lambda task: f"brightness of {task[0].name}")
+    found = run_tasks(_stretch, tasks, workers, progress, lambda task: f"intensities of {task[0].name}")
     return {view.name: stretch for view, stretch in zip(scene.views, found)}
 
 

@@ -43,8 +43,8 @@ from .parameters import ENGINE, EngineParameters
 
 @dataclass(frozen=True)
 class _Work:
-    """One scene (whose path is that of the registered one), its surface, what is known before, and what references
-    say."""
+    """One scene (whose path is that of the registered one), its surface, its prior, and the results of the
+    references."""
 
     scene: Scene
     surface: OwnSurface
@@ -56,7 +56,7 @@ def run(options: RegisterOptions, progress: Progress, parameters: EngineParamete
     """Register; gives the scenes' paths, the shift (m east, north, up) and its standard deviations.
 
     Raises SceneError for a scene that has no heights, OverlapError for a reference that covers no scene,
-    EmptyResultError for one with too few heights, OptionError for a datum that cannot be told, ImageError,
+    EmptyResultError for one with too few heights, OptionError for a datum that cannot be found, ImageError,
     InputTableError.
     """
     start = time.monotonic()
@@ -221,15 +221,15 @@ def _work(
 
 
 def _promise(work: _Work, parameters: EngineParameters) -> Tuple[float, float]:
-    """CE90 and LE90 that are to be expected without a registration, m: the LE90 is the one that the scene's own report
-    has, not what is usual, which the datum of a reference is told by."""
+    """The CE90 and LE90 that are expected without a registration, m. The LE90 is the one in the scene's own report,
+    which is larger than the usual error (the usual error serves to find the datum of a reference)."""
     numbers, ties = parameters.pointing.planning.promises, work.scene.pointing
     stated = height_le90_m(ties, parameters.pointing.planning) if ties is not None else None
     return numbers.ce90 * work.prior.horizontal_m, numbers.le90 * work.prior.up_m if stated is None else stated
 
 
 def _between(works: Sequence[_Work], progress: Progress, parameters: EngineParameters) -> List[Tuple[int, int, Shift]]:
-    """What to add to the first of two scenes that overlap, so that it lies on the second, as both are now."""
+    """The shift of the first of two overlapping scenes onto the second, as both are now."""
     found = []
     for i, j in overlaps([work.surface for work in works]):
         first, second = works[i], works[j]
@@ -298,7 +298,7 @@ def _moved(
     made = scene.record_of("reconstruct")
     asked = made is not None and made.options.get("pointing") == "jitter"
     if not (asked or any(view.jitter is not None for view in done.views)):
-        return done  # where ties show none, errors of a reference would be taken for waves
+        return done  # where ties show no waves, errors of a reference would be mistaken for waves
     return with_reference_waves(
         done,
         [laid.reference for laid in work.laid],
@@ -310,7 +310,7 @@ def _moved(
 
 
 def _say(figures: RegistrationFigures, progress: Progress) -> None:
-    """What was found, and a warning where it is more than the vendor promises."""
+    """Log the shift, with a warning where it is more than the vendor promises."""
     east, north, up = figures.latest.moved
     deviations = figures.deviation
     progress.info(
@@ -330,9 +330,9 @@ def _say(figures: RegistrationFigures, progress: Progress) -> None:
             )
     for words, size, promised_m in figures.unexpected():
         progress.warn(
-            f"The shift of {size:.1f} m {words} is more than the {promised_m:.1f} m within which nine of ten "
-            "scenes lie, by what the vendors promise and how well their RPCs agree: check that the reference is in "
-            "its right place and vertical datum."
+            f"The shift of {size:.1f} m {words} is more than expected from the vendors' promise and the agreement of "
+            f"their RPCs (nine of ten scenes need at most {promised_m:.1f} m): check the place and the vertical datum "
+            "of the reference."
         )
 
 
@@ -348,7 +348,7 @@ def _log(laid: Laid, progress: Progress) -> None:
         (progress.info if laid.choice.certain else progress.warn)(laid.choice.sentence)
     progress.info(
         f"'{figures.file}': heights above the {figures.datum}{'' if laid.choice else f' ({figures.datum_from})'}; "
-        f"{figures.used} of {figures.seen} heights on the scene's surface are used. They ask for a shift of "
+        f"{figures.used} of {figures.seen} heights on the scene's surface are used. They give a shift of "
         f"({east:+.2f}, {north:+.2f}, {up:+.2f}) m to the east, to the north and up; the NMAD of the differences goes "
         f"from {figures.before_m:.2f} to {figures.after_m:.2f} m."
     )
@@ -358,7 +358,8 @@ def _log(laid: Laid, progress: Progress) -> None:
 
 
 def _write_differences(work: _Work, ground: GroundShift) -> str:
-    """Both differences as a raster beside the scene: cells of the widest support, or so wide that most have a value."""
+    """Both differences as a raster beside the scene: its cells have the width of the widest support, or more so that
+    most have a value."""
     found = [laid.differences(ground) for laid in work.laid]
     if not found:
         return ""
@@ -386,7 +387,7 @@ def _write_differences(work: _Work, ground: GroundShift) -> str:
 
 
 def _write_products(scene: Scene, figures: RegistrationFigures, options: RegisterOptions) -> None:
-    """What the user asks for, from what lies beside the scene."""
+    """The products that the user requested, from the files beside the scene."""
     if options.differences and figures.differences:
         with opened(figures.differences) as dataset:
             bands = [read(dataset, None, band) for band in (1, 2)]

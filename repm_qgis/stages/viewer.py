@@ -21,7 +21,7 @@ def run(options: ViewerOptions, progress: Progress) -> Dict[str, Any]:
 
 
 def written(options: ViewerOptions, progress: Progress, name: str = "") -> Dict[str, Any]:
-    """The page, with its size in the log; says nothing of how far it is."""
+    """The page, with its size in the log; reports no progress."""
     facts = write_viewer(options, progress, name=name)
     columns, rows = facts.cells
     progress.info(f"Page of {columns} x {rows} cells, {facts.size / 1e6:.1f} MB.")

@@ -552,8 +552,8 @@ def test_dsms_that_lie_beside_each_other_are_named(tmp_path, told, surface, east
     ]
     said, report = told(), tmp_path / "r.html"
     run_stage("mosaic", {"dsms": paths, "output": str(tmp_path / "m.tif"), "report": str(report)}, said)
-    named = [text for text in said.warnings if "DSMs lie to the side of each other" in text]
+    named = [text for text in said.warnings if "DSMs are displaced horizontally" in text]
     assert bool(named) == (beside is not None)
     if beside is not None:
-        (by,) = re.findall(r"b\.tif' by ([\d.]+) m; a mosaic moves heights only, so register them", named[0])
+        (by,) = re.findall(r"b\.tif' by ([\d.]+) m; a mosaic only moves heights, so register them", named[0])
         assert abs(float(by) - beside) < 0.3 and "Good." not in report.read_text(encoding="utf-8").split("<h2")[0]

@@ -40,7 +40,7 @@ def test_black_frames_are_masked_and_change_nothing_else(mountains, framed, tmp_
     said = told()
     scene, plain = fit(framed, tmp_path / "ws", said), fit(mountains.images, tmp_path / "plain", told())
     assert all(Path(view.mask).exists() for view in scene.views) and not any(view.mask for view in plain.views)
-    assert sum("are black from the image's ends on" in text for text in said.notes) == 3
+    assert sum("are black margins that no nodata value marks" in text for text in said.notes) == 3
     assert np.abs(np.subtract(scene.altitudes, plain.altitudes)).max() < 60.0
     again = told()
     fit(framed, tmp_path / "ws", again)

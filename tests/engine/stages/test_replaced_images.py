@@ -15,7 +15,7 @@ from repm_qgis.ortho import grey_ortho
 from repm_qgis.scene import Scene
 from repm_qgis.stages import dsmfuse, exportcameras, fusing, reconstruct, run_stage
 
-WORDS = "was made from other pixels than '.*img_02.tif' has now: put the image back, or run 'Fit"
+WORDS = "was made from other pixels than '.*img_02.tif' has now: restore the image, or run 'Fit"
 
 
 @pytest.fixture
