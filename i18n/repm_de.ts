@@ -1728,8 +1728,8 @@
         <translation>Versätze der Teile der Szene</translation>
     </message>
     <message>
-        <source>Arrows: the shift that each part of the scene asks for, in metres.</source>
-        <translation>Pfeile: die Verschiebung, die jeder Teil der Szene verlangt, in Metern.</translation>
+        <source>Arrows: the shift that each part of the scene would need, in metres.</source>
+        <translation>Pfeile: die Verschiebung, die jeder Teil der Szene bräuchte, in Metern.</translation>
     </message>
     <message>
         <source>DSM</source>
@@ -1832,7 +1832,7 @@
         <translation>Gelände (DGM)</translation>
     </message>
     <message>
-        <source>Heights of the bare ground in metres as a GeoTIFF, above what the DSM's heights refer to.</source>
+        <source>Heights of the bare ground in metres as a GeoTIFF, in the vertical datum of the DSM.</source>
         <translation>Höhen des nackten Bodens in Metern als GeoTIFF, mit dem Höhenbezug des DOM.</translation>
     </message>
     <message>

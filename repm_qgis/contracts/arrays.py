@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 """Coordinates, heights and other quantities that need double precision."""
 FloatImage = NDArray[np.float32]
-"""Brightness, disparities and scores; NaN where there is none."""
+"""Intensities, disparities and scores; NaN where there is none."""
 Floats = NDArray[np.floating[Any]]
-"""Of either precision, which the result keeps."""
+"""Of single or double precision, which the result keeps."""
 IntArray = NDArray[np.int64]
 ByteImage = NDArray[np.uint8]
 Mask = NDArray[np.bool_]

@@ -1,8 +1,8 @@
-"""What values may be: those of options, which users give, and those in the JSON files that stages hand on.
+"""Checks of values: those of options, which users give, and those in the JSON files that stages pass on.
 
-A check has a method ``problem(value)``: what the value must be, "" where it is that. Options name theirs in
+A check has a method ``problem(value)``: what the value must be, "" where it is valid. Options name theirs in
 ``field(metadata=...)``, because dialogs read them too; records name theirs in the type, such as
-``Annotated[float, Number(-90, 90)]``. :func:`typed` reads a value of JSON as such a type says.
+``Annotated[float, Number(-90, 90)]``. :func:`typed` reads a value of JSON as described by such a type.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _words.maxstring = _words.maxother = _words.maxlong = 60
 
 
 class Misfit(ValueError):
-    """A value that is not what it must be: ``place`` are the names and numbers that lead to it, outermost first."""
+    """A value that does not pass its check: ``place`` are the names and numbers that lead to it, outermost first."""
 
     def __init__(self, must: str, found: str = "", place: Tuple[str, ...] = ()) -> None:
         self.must, self.found, self.place = must, found, place
@@ -292,7 +292,7 @@ def _tuple(kinds: Tuple[Any, ...], value: Any) -> Tuple[Any, ...]:
 
 
 def _array(value: Any) -> Any:
-    import numpy as np  # options need none, and QGIS asks for them alone
+    import numpy as np  # options need no numpy, and QGIS loads the options only
 
     try:
         array = np.array(value)
@@ -307,7 +307,8 @@ def _not_finite(value: Any) -> str:
 
 
 def _shallow(value: Any, depth: int) -> Any:
-    """What no type describes, such as the options of a stage; nobody can walk through what is nested too deeply."""
+    """What no type describes, such as the options of a stage; it is limited in depth, so that code can walk through
+    it."""
     _refuse_if("" if depth else f"must not be nested {_DEEPEST} deep", [])
     for entry in value.values() if isinstance(value, dict) else value if isinstance(value, (list, tuple)) else ():
         _shallow(entry, depth - 1)

@@ -1,4 +1,4 @@
-"""Everything the engine can say no to.
+"""All failures that are expected.
 
 Each message is one sentence or two for the analyst: the file, the value, and what to do about it. Errors inherit
 from :class:`RepmError` and from the builtin that fits, so library users may catch either.
@@ -41,7 +41,7 @@ class OptionError(RepmError, ValueError):
 
 
 class ImageError(RepmError, OSError):
-    """An image or raster cannot be read, or holds nothing that can be used."""
+    """An image or raster cannot be read, or has no usable content."""
 
 
 class RpcError(RepmError, ValueError):
@@ -94,11 +94,11 @@ class ClusterError(RepmError, RuntimeError):
 
 class WorkerError(RepmError, RuntimeError):
     """A worker process could not begin, or ended without an answer: nothing is known of what it was to make, and no
-    caller may take that for an empty result."""
+    caller may treat that as an empty result."""
 
 
 class EmptyResultError(RepmError, RuntimeError):
-    """A stage ran, but what it made is empty or too little to go on with; the message gives the counts."""
+    """A stage ran, but its result is empty or too small to continue with; the message gives the counts."""
 
 
 class Cancelled(RepmError):

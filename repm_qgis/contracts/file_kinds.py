@@ -1,4 +1,4 @@
-"""What a file is, told by its name alone: what a user may name for clouds, meshes and images."""
+"""The kind of a file, by its name only: the names that users may give for clouds, meshes and images."""
 
 from __future__ import annotations
 

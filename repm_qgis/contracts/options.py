@@ -94,7 +94,7 @@ class _ByName(type):
 
 @dataclass(frozen=True)
 class Options(metaclass=_ByName):
-    """What all stages' options share: checks, and reading from and writing to JSON."""
+    """The base of all stages' options: checks, and reading from and writing to JSON."""
 
     def __post_init__(self) -> None:
         types = types_of(type(self))
@@ -189,7 +189,7 @@ def _check_images(images: Tuple[str, ...], **beside: Tuple[str, ...]) -> None:
 
 @dataclass(frozen=True)
 class InspectOptions(Options):
-    """Show what images and their RPCs alone say: where they lie, how they overlap, and which pairs fit.
+    """Inspect images and their RPCs before any matching: where they lie, how they overlap, and which pairs fit.
 
     ``images`` and ``rpcs`` as in :class:`EpmFitOptions`; one image is enough. ``footprints`` and ``overlaps`` are the
     polygon layers to write, ``report`` the HTML page; None = not wanted.
@@ -268,7 +268,7 @@ class ErrorMapOptions(Options):
 
 @dataclass(frozen=True)
 class RefineOptions(Options):
-    """Find the map from each refined pixel to its original pixel that makes the pinhole camera true.
+    """Find the map from each refined pixel to its original pixel that makes the pinhole camera exact.
 
     ``dem`` is the terrain model's surface; None takes the heights that the scene already has. ``order`` is the
     polynomial's, ``kernel`` resamples the refined images. ``workers`` and ``memory`` as in :class:`ReconstructOptions`.
@@ -326,18 +326,16 @@ class ReconstructOptions(Options):
     """Tie points, relative pointing and dense matching.
 
     ``heights`` is the folder for the height maps and ``tie_points`` the vector file; None puts them next to the scene.
-    ``gcps`` is a table or layer of ground control points, ``gcp_datum`` what their heights refer to (a vertical CRS; ""
+    ``gcps`` is a table or layer of ground control points, ``gcp_datum`` the datum of their heights (a vertical CRS; ""
     is the ellipsoid). ``pointing`` is each view's correction (``jitter``: with waves of its lines). ``adjustment`` is
     against the original RPCs, or COLMAP's of principal points (shifts only, and without ground control). ``workers`` 0
-    means one for each core. ``memory`` in
-    MiB bounds what the workers take together, 0 means three quarters of what is free. ``cluster`` is the address or the
-    scheduler file of a Dask cluster whose workers do the work; "" is this machine.
-    ``geometric``, ``colmap_fusion``, ``window_radius`` (px) and ``gpu_memory`` (GiB, 0 = what is free) are the backend
-    colmap's.
-    ``pairs``: ``best``, each view's best ones, or ``fewest``, those that connect all views.
-    ``quality``: what matching costs and gives, ``fast``, ``default`` or ``best`` (stages/parameters.py); ``fast``
-    takes the fewest pairs, too.
-    ``own_surface``: before the matching, refine with the terrain model on the surface that the coarse level finds.
+    means one for each core. ``memory`` in MiB bounds what the workers take together, 0 means three quarters of what is
+    free. ``cluster`` is the address or the scheduler file of a Dask cluster whose workers do the work; "" is this
+    machine. ``geometric``, ``colmap_fusion``, ``window_radius`` (px) and ``gpu_memory`` (GiB, 0 = what is free) are the
+    backend colmap's. ``pairs``: ``best``, each view's best ones, or ``fewest``, those that connect all views.
+    ``quality``: the time and the accuracy of matching, ``fast``, ``default`` or ``best`` (stages/parameters.py);
+    ``fast`` takes the fewest pairs, too. ``own_surface``: before the matching, refine with the terrain model on the
+    surface that the coarse level finds.
     """
 
     scene: str = read()
@@ -374,14 +372,14 @@ class ReconstructOptions(Options):
 class RegisterOptions(Options):
     """Lay reconstructed scenes onto references, and put the shifts into the images' pointing.
 
-    ``reference`` names rasters, points or clouds with heights of known place; ``reference_datum`` what those heights
-    refer to: ``auto`` (what each file says, else the one that fits), ``ellipsoid``, or a vertical CRS. ``model``
-    ``shift`` or ``tilt`` (a shift and a tilt, where the heights carry one). ``stable`` are polygons, or a raster that
-    is not zero, of ground that has not changed; None = all. ``others`` are scenes that overlap ``scene``: all are
-    placed together. ``output_scene`` is for ``scene``; each of the others is written beside its own file.
+    ``reference`` names rasters, points or clouds with heights of known place; ``reference_datum`` the datum of those
+    heights: ``auto`` (the one that each file states, else the one that fits), ``ellipsoid``, or a vertical CRS.
+    ``model`` ``shift`` or ``tilt`` (a shift and a tilt, where the heights carry one). ``stable`` are polygons, or a
+    raster that is not zero, of ground that has not changed; None = all. ``others`` are scenes that overlap ``scene``:
+    all are placed together. ``output_scene`` is for ``scene``; each of the others is written beside its own file.
     ``differences``: a raster with the reference minus the surface, before and after; ``offsets``: a layer of points
-    with the shift that each part of the scene asks for; ``report``: a page; None = not wanted. ``workers``, ``memory``
-    and ``cluster`` as in ``ReconstructOptions``.
+    with the shift that each part of the scene would need; ``report``: a page; None = not wanted. ``workers``,
+    ``memory`` and ``cluster`` as in ``ReconstructOptions``.
     """
 
     scene: str = read()
@@ -411,7 +409,7 @@ class DsmFuseOptions(Options):
     """Fuse height maps into a DSM.
 
     ``resolution`` in units of the CRS, 0 = twice the ground sampling distance; ``crs`` any projected CRS, None the
-    scene's UTM zone. ``vertical_datum`` is what heights refer to (a vertical CRS; "" is the ellipsoid). ``method`` of
+    scene's UTM zone. ``vertical_datum`` is the datum of heights (a vertical CRS; "" is the ellipsoid). ``method`` of
     the heights of a cell that agree. ``fill``: ``occlusions``, cells that one image hides from the other take the
     background's height, and those that a shadow leaves without texture that of the ground where it ends; ``all``,
     remaining holes are interpolated besides; or ``none``. ``water``: ``keep`` it as it was matched, or ``flatten`` it
@@ -462,7 +460,7 @@ class DsmFuseOptions(Options):
         if not all(self.xs) or len(set(self.xs)) != len(self.xs):
             raise OptionError("XS", list(self.xs), "must be a list of multispectral images, each named once")
         if self.xs and self.colour == "greys":
-            raise OptionError("COLOUR", self.colour, "must be auto or all where there are XS, whose colours are wanted")
+            raise OptionError("COLOUR", self.colour, "must be auto or all where there are XS, which give the colours")
         if self.cloud:
             require_cloud(self.cloud)
         if self.mesh:
@@ -473,8 +471,9 @@ class DsmFuseOptions(Options):
 class PipelineOptions(Options):
     """From images to a DSM: the options of all stages, each of which takes the scene that the one before wrote.
 
-    JSON has them all in one object, without those that the pipeline sets itself; what is not given there is the
-    ``preset``'s, or else the default. ``report`` is the whole run's page, ``command`` the command line that it shows.
+    JSON has them all in one object, without those that the pipeline sets itself; options that are not given there have
+    the ``preset``'s value, or else the default. ``report`` is the whole run's page, ``command`` the command line that
+    it shows.
     """
 
     fit: EpmFitOptions

@@ -1,4 +1,4 @@
-"""What all sets of parameters share: numbers of the method that users do not set, and studies vary.
+"""The base of all sets of parameters: numbers of the method that users do not set and studies vary.
 
 A subject's parameters are one frozen dataclass in its package's ``parameters.py``. Each field's documentation gives
 its unit and its source: physics, a paper, or the table of docs/benchmarks that measured it. A study writes

@@ -7,11 +7,11 @@ from typing import Union
 
 
 def real_path(path: Union[str, "os.PathLike[str]"]) -> str:
-    """An absolute path whose links are followed, as far as the system tells where they lead.
+    """An absolute path whose links are followed, as far as the system resolves them.
 
     ``os.path.realpath`` raises OSError on Windows where ``GetFinalPathNameByHandle`` fails in a way that Python does
-    not expect: drives of some networks and RAM disks do so, and Wine does for paths of more than 260 characters. The
-    folders above are asked there, and the name is taken as it is: so two paths to one file stay equal.
+    not expect: drives of some networks and RAM disks do so, and Wine does for paths of more than 260 characters. There
+    the parent folder is resolved, and the name is kept: so two paths to one file stay equal.
     """
     try:
         return os.path.realpath(path)

@@ -19,7 +19,7 @@ PIPELINE = ("epmfit", "refine", "reconstruct", "dsmfuse")
 
 @dataclass(frozen=True)
 class Style:
-    """A kind of layer: the file of resources/styles that draws it, and what that file does not say.
+    """A kind of layer: the file of resources/styles that draws it, and the facts that this file does not contain.
 
     ``ramp`` are the colours that are spread over the values of a ``band``, with their ``unit`` in the legend;
     ``classes`` are the names of values 0, 1, ... of a discrete one. ``template`` is the file's name where that is not
@@ -115,12 +115,12 @@ STYLES = (
     Style("hillshade"),
     Style("dsm", "elevation", template="ramp", unit=" m"),
 )
-"""From top to bottom of a run's group: nothing hides what is to be looked at first."""
+"""From top to bottom of a run's group: no layer hides those that a user looks at first."""
 
 
 @dataclass(frozen=True)
 class Product:
-    """Something that a stage writes: the option and result that name it, its title, and what it is.
+    """A file or folder that a stage writes: the option and result that name it, its title, and its kind.
 
     ``wanted``: whether it is written always, unless the user skips it, or on request. ``style`` is its kind of layer,
     "" for none, ``layer`` the layer's name where that is not the title. ``filter`` are a file's types in dialogs.
@@ -154,7 +154,7 @@ _DSM = "Heights in metres as a GeoTIFF; where nothing was matched, there is no h
 _CONFIDENCE = "For each height: its expected error and LE90 in metres, how many pairs agree, and how it was found."
 _ORTHO = "The images in map geometry, on the cells of the DSM, in colour where the images have colours."
 _DIFFERENCES = "The reference minus the scene's surface in metres: band 1 before, band 2 after the registration."
-_OFFSETS = "Arrows: the shift that each part of the scene asks for, in metres."
+_OFFSETS = "Arrows: the shift that each part of the scene would need, in metres."
 _WATER_MASK = "1 where the images and the matching show water, 0 on land, 255 where neither is known."
 _CLOUD = "One point for each matched pixel, with its colour: LAZ, LAS, or PLY for 3-D programs without these."
 _MESH = "Triangles: PLY for QGIS and 3-D programs, or GLB and OBJ with the orthophoto as picture, not for QGIS."
@@ -181,7 +181,7 @@ _VIEWER = "The surface in 3-D, with rasters draped over it and profiles: a page 
 _STAC = "A STAC item beside the DSM: when and where the images were taken, and the files that were made."
 _SOURCES = "The number of the DSM that each height comes from, how many DSMs have one there, and their spread."
 _MOSAIC = "A name that ends in .vrt gives a folder of tiles and a VRT that shows them as one: for very large mosaics."
-_TERRAIN = "Heights of the bare ground in metres as a GeoTIFF, above what the DSM's heights refer to."
+_TERRAIN = "Heights of the bare ground in metres as a GeoTIFF, in the vertical datum of the DSM."
 _OBJECT_HEIGHTS = "The DSM minus the terrain in metres: how high houses and trees are."
 _OBJECTS = "1 where something stands on the ground, 0 where the DSM shows the ground, 255 where it has no height."
 _EDITED = "The DSM with all edits that are enabled, as a GeoTIFF; the original stays as it is."
@@ -285,7 +285,7 @@ PRODUCTS = (
 
 
 def products_of(stage: str) -> List[Product]:
-    """What a stage writes; of the pipeline what its stages do, without their reports."""
+    """The products of a stage; for the pipeline those of its stages, without their reports."""
     if stage != "pipeline":
         return [product for product in PRODUCTS if product.stage == stage]
     parts = [product for part in PIPELINE for product in products_of(part) if product.option != "report"]
@@ -297,12 +297,12 @@ def product(stage: str, option: str) -> Product:
 
 
 def not_requested(stage: str) -> Dict[str, Any]:
-    """The options of what a stage writes on request, all of them left out."""
+    """The options of the products that a stage writes on request, all of them left out."""
     return {each.option: None for each in products_of(stage) if each.wanted == ON_REQUEST}
 
 
 def forms() -> Dict[str, str]:
-    """What each option that names a product is, whatever the stage; the products of an input scene lie next to it."""
+    """The kind of product that each option names, whatever the stage; the products of an input scene lie next to it."""
     return {"scene": SCENE, **{each.option: each.form for each in PRODUCTS}}
 
 
@@ -313,12 +313,12 @@ def tiles_folder(path: str) -> str:
 
 
 def kept_folder(path: str) -> str:
-    """The folder for what a run that was stopped has finished of a mosaic, beside it."""
+    """The folder, beside a mosaic, for the parts that a stopped run has finished."""
     return f"{os.path.splitext(path)[0]}_blocks"
 
 
 def paths_of(stage: str, options: Any) -> Iterator[Tuple[Product, str]]:
-    """The products that a stage's options ask for, with their paths; those of the pipeline's stages too.
+    """The products that a stage's options name, with their paths; those of the pipeline's stages too.
 
     The folder of a VRT's tiles follows it, as a product of its own without a style.
     """

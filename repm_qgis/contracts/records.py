@@ -1,4 +1,4 @@
-"""What stages state about their results, as typed records that a scene keeps, and their mapping to JSON."""
+"""The facts about stages' results, as typed records that a scene keeps, and their mapping to JSON."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Record:
         return record
 
     def contradiction(self) -> str:
-        """What is wrong with the entries together, each of which is right: "has ..."; "" where nothing is."""
+        """How entries that are valid one by one contradict each other: "has ..."; "" where they do not."""
         return ""
 
 
@@ -235,10 +235,10 @@ class PointingFigures(Record):
     ``before_px`` and ``after_px`` are the ties' median residuals. ``shifts_px`` are the corrections (column, row) at
     the images' centres, and ``trends_px`` how much more they are in a corner at most. ``ties_by_tile`` and
     ``ties_by_part`` (north-west, north, ...) count ties on the ground. ``control_noise_px`` is the control points'
-    standard deviation, None where it cannot be estimated; ``control_information`` (3, 3) is what they know of a shift
-    of the whole (east, north, up), 1 / m²; ``height_uncertainty_m`` is two standard deviations of the absolute height,
-    None with ground control. ``ground_m`` are heights of the ground (low, middle, high) that nothing but the RPCs
-    gives, None with a DEM or ground control.
+    standard deviation, None where it cannot be estimated; ``control_information`` (3, 3) is their information about a
+    shift of the whole (east, north, up), 1 / m²; ``height_uncertainty_m`` is two standard deviations of the absolute
+    height, None with ground control. ``ground_m`` are heights of the ground (low, middle, high) that are known from the
+    RPCs only, None with a DEM or ground control.
     """
 
     count: Count
@@ -304,8 +304,8 @@ class GroundShift(Record):
 
 @dataclass(frozen=True)
 class LocalOffset(Record):
-    """The shift that a part of a scene alone asks for: its place in the scene's CRS, metres east, north and up before
-    the registration, their standard deviations, and how many heights say so."""
+    """The shift that a part of a scene alone would need: its place in the scene's CRS, metres east, north and up before
+    the registration, their standard deviations, and the number of heights used."""
 
     x: float
     y: float
@@ -323,7 +323,7 @@ class OtherRelief(Record):
     ratio: Annotated[float, Number(0, 1e9)]
 
     def sentence(self, reference: str) -> str:
-        """What that means, for people."""
+        """The sentence for the user."""
         if self.correlation < 0.5:
             what = "upside down, or of another place: check that each RPC belongs to its image, and the reference"
         else:
@@ -336,15 +336,14 @@ class OtherRelief(Record):
 
 @dataclass(frozen=True)
 class ReferenceFigures(Record):
-    """A reference, and what it alone says of a scene's place.
-
-    ``file`` as the user named it; ``datum`` of its heights, and ``datum_from``: what says so. ``width_m`` of its cells
-    or footprints, 0 for points. ``seen`` heights lie on the scene's surface, ``used`` ones have a weight. ``moved`` (m
-    east, north, up) with ``deviation`` (of a direction that the relief does not determine the vendor's promise), and
-    ``determined`` horizontal directions (unit vectors). ``before_m`` and ``after_m`` are NMADs of the differences,
-    ``bias_m`` their median before; ``range_m`` is how far they are correlated. ``other_relief`` is None where the
-    surface has the reference's relief, and where that has too little to tell. ``about`` is a sentence on what its
-    heights are and which were taken.
+    """A reference, and the shift of a scene that it alone gives. ``file`` as the user named it; ``datum`` of its
+    heights, and ``datum_from``: the source of this datum. ``width_m`` of its cells or footprints, 0 for points.
+    ``seen`` heights lie on the scene's surface, ``used`` ones have a weight. ``moved`` (m east, north, up) with
+    ``deviation`` (of a direction that the relief does not determine the vendor's promise), and ``determined``
+    horizontal directions (unit vectors). ``before_m`` and ``after_m`` are NMADs of the differences, ``bias_m`` their
+    median before; ``range_m`` is how far they are correlated. ``other_relief`` is None where the surface has the
+    reference's relief, and where that has too little relief to compare. ``about`` is a sentence about its heights and
+    which of them were taken.
     """
 
     file: str
@@ -366,16 +365,16 @@ class ReferenceFigures(Record):
 
 @dataclass(frozen=True)
 class RegistrationFigures(Record):
-    """How a scene was laid onto references, and what its height maps need to follow.
+    """How a scene was laid onto references, and the data that its height maps need to follow.
 
     ``shift`` is all that was added to the ground since matching; ``matched`` is the pointing of each view that the
     height maps were matched with. ``latest`` is what the last registration added, with the standard deviations of its
-    east, north and up; ``determined`` are the horizontal directions that it could tell. ``control``: ground control
-    points had a weight, too. ``promised_m`` is what was to be expected (CE90, LE90). ``pointing_px`` is the largest
-    error of the shift as pointing. ``differences`` is a raster of the references minus the surface, before and after.
-    ``waves_m`` is the NMAD of a reference's differences from the maps, without and with the waves along the parallax
-    that it has shown, None where it has shown none; ``waves_px`` is the largest of these. ``matched_waves`` are then
-    those that the maps were matched with, of views that had some.
+    east, north and up; ``determined`` are the horizontal directions that it determined. ``control``: ground control
+    points had a weight, too. ``promised_m`` are the expected errors without it (CE90, LE90). ``pointing_px`` is the
+    largest error of the shift as pointing. ``differences`` is a raster of the references minus the surface, before and
+    after. ``waves_m`` is the NMAD of a reference's differences from the maps, without and with the waves along the
+    parallax that it has shown, None where it has shown none; ``waves_px`` is the largest of these. ``matched_waves``
+    are then those that the maps were matched with, of views that had some.
     """
 
     shift: GroundShift
@@ -395,8 +394,8 @@ class RegistrationFigures(Record):
     waves_px: Pixels = 0.0
 
     def unexpected(self) -> List[Tuple[str, float, float]]:
-        """The parts of the shift that are larger than was to be expected, beyond two deviations: in which direction,
-        how large, and what was to be expected, m."""
+        """The parts of the shift that are larger than expected, beyond two deviations: direction, size and expected
+        size, m."""
         east, north, up = self.latest.moved
         horizontal, height = self.promised_m
         parts = [
@@ -410,8 +409,9 @@ class RegistrationFigures(Record):
 class DemOffset(Record):
     """How far the DSM lies above the DEM that was given, as ``file``: ``up_m`` with its standard deviation.
 
-    ``most_m`` is to be expected at most, by what is stated of the absolute height; None where nothing is stated.
-    ``other_relief`` is None where the DSM has the DEM's relief, and where that has too little to tell.
+    ``most_m`` is the largest offset to expect, by the stated uncertainty of the absolute height; None where nothing is
+    stated. ``other_relief`` is None where the DSM has the DEM's relief, and where that has too little relief to
+    compare.
     """
 
     file: str
@@ -422,11 +422,11 @@ class DemOffset(Record):
 
     @property
     def unexpected(self) -> bool:
-        """Whether it is more than is to be expected, or the relief is another one."""
+        """Whether it is more than expected, or the relief is another one."""
         return self.other_relief is not None or self.most_m is not None and abs(self.up_m) > self.most_m
 
     def sentence(self) -> str:
-        """The offset in words, for people: as information, or as a warning where it is more than is to be expected."""
+        """The offset as a sentence: information, or a warning where it is more than expected."""
         where = f"{abs(self.up_m):.1f} m {'above' if self.up_m > 0 else 'below'} the DEM '{self.file}'"
         text = f"The DSM lies {where} (standard deviation {self.deviation_m:.2f} m)"
         if self.other_relief is not None:
@@ -446,10 +446,10 @@ class DemOffset(Record):
 class FusionFacts(Record):
     """What fusion counted, in cells of the DSM: ``cells`` that two images see, ``valid`` ones with a height, of these
     ``matched``, ``background`` (all other sources but interpolation) and ``interpolated`` ones; ``removed`` were
-    outliers, ``needles`` stood far above all others on a single map's word. ``points`` are the cloud's,
-    ``resolution`` is the side of a cell in units of the ``crs``. ``dem_offset`` is None where no DEM was given, or
-    none that could be compared. ``water`` are the bodies of water, of ``water_m2`` square metres together, that were
-    found where the options asked for it, by the ``water_evidence``.
+    outliers, ``needles`` stood far above all others and were supported by a single map only. ``points`` are the
+    cloud's, ``resolution`` is the side of a cell in units of the ``crs``. ``dem_offset`` is None where no DEM was
+    given, or where it could not be compared. ``water`` are the bodies of water, of ``water_m2`` square metres together,
+    that were found where the options asked for it, by the ``water_evidence``.
     """
 
     cells: int

@@ -1,1 +1,1 @@
-"""Files of many programs: tables, vectors and point clouds, and what files that came with data may not do."""
+"""Files of many programs: tables, vectors and point clouds, and the limits for untrusted files."""

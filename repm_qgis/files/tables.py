@@ -1,4 +1,5 @@
-"""Tables of points that people give, as CSV files or layers that OGR opens: bounded, and with a sentence if wrong."""
+"""Tables of points from users, as CSV files or layers that OGR opens: bounded in size, with a sentence for each
+error."""
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ _COMMA = re.compile(r"[+-]?\d+,\d+")
 def number_in(place: str, name: str, value: object) -> float:
     """The number that a field of a row has, as text or as a number; raises InputTableError, which names ``place``.
 
-    Python's own reading also takes what people do not mean: 1_000, or digits of other scripts.
+    Python's own reading also accepts forms that users do not mean: 1_000, or digits of other scripts.
     """
     text = str(value).strip()
     if isinstance(value, (int, float)) or _NUMBER.fullmatch(text):
@@ -40,7 +41,7 @@ def number_in(place: str, name: str, value: object) -> float:
 
 @dataclass(frozen=True)
 class Limits:
-    """How much a table may hold; ``what`` is what people should choose instead, as in "choose the list of points"."""
+    """How much a table may hold; ``what`` is what users should choose instead, as in "choose the list of points"."""
 
     bytes: int
     rows: int

@@ -1,7 +1,6 @@
-"""What is asked of files before GDAL opens them, and of rasters before they are read: data may come from anybody.
-
-Network paths work where the user typed them, for the file itself. A file that came with data may not send anybody
-there, and may not claim more pixels than it can hold.
+"""Checks of files before GDAL opens them, and of rasters before they are read: data may come from anybody. Network
+paths work where the user typed them, for the file itself. A file that came with data must not lead to the network, and
+must not claim more pixels than it can hold.
 """
 
 from __future__ import annotations
@@ -74,7 +73,7 @@ def refusal_of(path: str) -> str:
     try:
         mode = os.stat(path).st_mode
     except (OSError, ValueError):
-        return _archived_description(path)  # no file of this machine: GDAL knows, or says what is wrong
+        return _archived_description(path)  # no file of this machine: GDAL opens it, or reports the error
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         return "is a pipe or a device, not a file: choose a file."
     return _distrust(*file_identity(path))
@@ -87,7 +86,7 @@ def _distrust(path: str, *_: Any) -> str:
         _look_through(path, 0, {})
     except _DistrustedError as error:
         return str(error)
-    except RuntimeError:  # GDAL's, about a file that it cannot open: nothing comes of that
+    except RuntimeError:  # GDAL's, about a file that it cannot open: the error is reported later
         return ""
     finally:
         gdal.PopErrorHandler()
@@ -162,7 +161,7 @@ def _look_through(path: str, depth: int, seen: Dict[str, int]) -> int:
 
 
 def _looked_through(path: str, depth: int, seen: Dict[str, int]) -> int:
-    """What :func:`_look_through` asks of a file that it has not seen; how many files it leads to."""
+    """The checks of :func:`_look_through` for a file that it has not seen; how many files it leads to."""
     opened = 0
     if depth > _DEEPEST:
         raise _DistrustedError(f"is a VRT of VRTs more than {_DEEPEST} deep: make one VRT of the images themselves.")
@@ -210,7 +209,7 @@ def _refuse_pipes(path: str) -> None:
 
 @lru_cache(maxsize=256)
 def _pipes_in(folder: str, _: int) -> Tuple[str, ...]:
-    """The pipes and devices in a folder; the time of its last change tells when to look again."""
+    """The pipes and devices in a folder; after a change of the folder's time they are listed again."""
     with os.scandir(folder) as entries:
         some = islice(entries, _MOST_ENTRIES)
         return tuple(sorted(e.name for e in some if not (e.is_file() or e.is_dir()) and _waits(e.path)))
@@ -373,6 +372,6 @@ def _refuse_network(text: str) -> None:
 
 def _names_network(text: str) -> _DistrustedError:
     return _DistrustedError(
-        f"leads to the network source '{text[:80].splitlines()[0]}': a file that comes with data may not do that; "
-        "download the image, or give its network path itself."
+        f"leads to the network source '{text[:80].splitlines()[0]}': files that come with data must not; download the "
+        "image, or give its network path itself."
     )

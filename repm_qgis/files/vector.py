@@ -139,13 +139,13 @@ def _fill(target: Path, crs: str, geometry_type: int, fields: Mapping[str, type]
             feature, count = None, count + 1
         _see(layer.CommitTransaction() == 0)
         gdal.ErrorReset()
-    finally:  # an error keeps hold of what it passes, and Windows removes no open file
+    finally:  # an exception keeps references to objects on its way, and Windows removes no open file
         layer = feature = source = None
     _see(gdal.GetLastErrorType() < gdal.CE_Failure and _features(str(target)) == count)
 
 
 def _features(path: str) -> int:
-    """How many features a file really holds: OGR says nothing of a full disk where it writes GeoJSON."""
+    """How many features a file really holds: OGR does not report a full disk when it writes GeoJSON."""
     source = open_vector(path)
     layer = source.GetLayer(0) if source is not None and source.GetLayerCount() else ()
     count = sum(feature.GetGeometryRef() is not None for feature in layer)

@@ -1,4 +1,3 @@
-"""The engine's own Python environment: what it takes, where it lies, how it is made, renewed and removed.
-
-Standard library alone: it runs where the packages that it installs are still missing, in QGIS's process too.
+"""The engine's own Python environment: its requirements, its place, and how it is made, renewed and removed. Standard
+library only: it runs where the packages that it installs are still missing, in QGIS's process too.
 """

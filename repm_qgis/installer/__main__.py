@@ -20,7 +20,7 @@ from .interpreter import asked, base_program
 
 
 class _Printed(Silent):
-    """Says what is new on the terminal, a line each."""
+    """Prints news on the terminal, a line each."""
 
     def __init__(self) -> None:
         self._text = ""

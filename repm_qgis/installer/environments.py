@@ -1,4 +1,4 @@
-"""Where the engine's environments lie, which one is whole and fits, and what an installation would take.
+"""Where the engine's environments lie, which one is complete and fits, and the time and space of an installation.
 
 Each environment of a profile is a folder of its own below ``<profile>/repm``, whose name holds a hash of its Python
 and of the requirements. An update of the plugin with the same requirements finds it again; one with others makes a
@@ -60,7 +60,7 @@ def folder_for(home: str, program: str, requirements: Optional[Sequence[str]] = 
 
 
 def stamp_of(folder: str) -> Dict[str, Any]:
-    """What the installer wrote when the environment was whole; empty where it is not."""
+    """The facts that the installer wrote when the environment was complete; empty where it is not."""
     try:
         with open(os.path.join(folder, STAMP), encoding="utf-8") as stream:
             known = json.load(stream)
@@ -70,7 +70,7 @@ def stamp_of(folder: str) -> Dict[str, Any]:
 
 
 def mark(folder: str, program: str, requirements: Sequence[str], extras: Sequence[str], **more: Any) -> None:
-    """Say that the environment is whole."""
+    """Mark the environment as complete."""
     known = {"program": real_path(program), "requirements": hash_of(requirements), "extras": list(extras)}
     write_text(os.path.join(folder, STAMP), json.dumps({**known, **more}, indent=1))
 
@@ -101,7 +101,7 @@ def fits(folder: str, programs: Optional[Sequence[str]]) -> bool:
     known = stamp_of(folder)
     try:
         lines = requirements_of([REQUIREMENTS, *kept_extras(folder)])
-    except OSError:  # half a plugin: what was installed is all there is
+    except OSError:  # the plugin is incomplete: the installed requirements are all that is known
         return False
     return _is_of(known, programs) and known.get("requirements") == hash_of(lines)
 
@@ -123,7 +123,7 @@ def usable(homes: Sequence[str], programs: Optional[Sequence[str]], plugin: Path
 
 
 def remove(folders: Sequence[str]) -> List[str]:
-    """Remove environments; gives those that could not be removed, because a program runs in them, say."""
+    """Remove environments; gives those that could not be removed, for example because a program runs in them."""
     for folder in folders:
         if os.path.islink(folder):
             os.unlink(folder)
@@ -137,13 +137,14 @@ def remove(folders: Sequence[str]) -> List[str]:
 
 
 def disk_bytes(folder: str) -> int:
-    """What an environment takes on the disk; links count as links."""
+    """The disk space of an environment; links count as links."""
     names = (os.path.join(place, name) for place, _, files in os.walk(folder) for name in files)
     return sum(os.lstat(name).st_size for name in names)
 
 
 def superseded(folder: str, program: str) -> List[str]:
-    """What a new environment makes superfluous beside it: those of the same Python, broken ones, those of no Python."""
+    """The environments that a new one beside them replaces: those of the same Python, broken ones, those of no
+    Python."""
     real = real_path(program)
     others = [each for each in in_home(os.path.dirname(folder)) if each != folder]
     return [each for each in others if stamp_of(each).get("program") in (None, real)]
@@ -151,11 +152,11 @@ def superseded(folder: str, program: str) -> List[str]:
 
 @dataclass(frozen=True)
 class Plan:
-    """What an installation takes, before it begins.
+    """The plan of an installation, before it begins.
 
     ``program`` is the Python that the environment is made with, ``folder`` where it will lie, ``wheels`` a folder of
     wheels to take in place of the index. ``extras`` are names of further requirement files, whose lines
-    ``requirements`` has too; ``missing`` is what QGIS should have brought, and is installed beside them.
+    ``requirements`` has too; ``missing`` are packages that QGIS should have brought, which are installed as well.
     """
 
     program: str
@@ -168,7 +169,7 @@ class Plan:
 
     @property
     def all(self) -> Tuple[str, ...]:
-        """What pip is asked for."""
+        """The requirements for pip."""
         return (*self.requirements, *self.missing)
 
     @property

@@ -1,4 +1,4 @@
-"""Makes the engine's environment: whole at its end, or not there."""
+"""Makes the engine's environment: complete at the end, or absent."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def log_of(folder: str) -> str:
 
 
 def planned(python: Interpreter, folder: str, extras: Sequence[str] = (), wheels: str = "", proxy: str = "") -> Plan:
-    """What an installation with this Python takes.
+    """The plan of an installation with this Python.
 
     Raises MissingPackageError where that Python lacks what QGIS brings, OptionError where ``wheels`` holds no wheel.
     """
@@ -68,8 +68,8 @@ def install(
 ) -> bool:
     """Make or renew the environment ``folder`` with the Python ``program``; False where it is whole already.
 
-    A second installation beside it waits for the first. What a killed one left is made anew; a cancel and
-    a failure leave nothing behind but the log. Raises RepmError in one sentence, and Cancelled.
+    A second installation beside it waits for the first. An environment that a killed one left is made again; after a
+    cancel or a failure only the log remains. Raises RepmError in one sentence, and Cancelled.
     """
     python = asked(program)
     plan = planned(python, folder, extras, wheels, proxy)

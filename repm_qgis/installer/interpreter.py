@@ -1,4 +1,4 @@
-"""Which Python is QGIS's own, never the one that happens to be first on PATH, and what it has."""
+"""Which Python is QGIS's own, never the one that happens to be first on PATH, and which packages it has."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STAMP = "repm-environment.json"
 """The file in an environment that the installer made: it is written last, so its absence means "not whole"."""
 WINDOWS = os.name == "nt"
 _ASK_S = 60
-# What QGIS, the shell, conda or a virtual environment may have set for another Python.
+# Variables that QGIS, the shell, conda or a virtual environment may have set for another Python.
 _MISLEADING = (
     "PYTHONHOME",
     "PYTHONPATH",
@@ -59,8 +59,8 @@ def base_program() -> str:
 def candidates(folders: Sequence[str] = ()) -> List[str]:
     """Where QGIS's Python may lie, the likeliest first, derived from the Python of this process.
 
-    ``folders`` are further ones to look in: that of QGIS's program, say, for the bundle of macOS. Inside QGIS
-    ``sys.executable`` says nothing: it is whatever ``python3`` comes first on PATH, or QGIS itself.
+    ``folders`` are further ones to look in: for example that of QGIS's program in the bundle of macOS. Inside QGIS
+    ``sys.executable`` is no help: it is whatever ``python3`` comes first on PATH, or QGIS itself.
     """
     library = os.path.dirname(os.path.abspath(os.__file__))
     if WINDOWS:  # OSGeo4W and the MSI: apps\Python312\python.exe beside apps\Python312\Lib
@@ -77,7 +77,7 @@ def candidates(folders: Sequence[str] = ()) -> List[str]:
 
 @dataclass(frozen=True)
 class Interpreter:
-    """What a Python says of itself.
+    """The facts about a Python.
 
     ``versions`` are those of the engine's packages that it has, by distribution; ``gdal`` is where it has GDAL's
     bindings, "" for nowhere; ``proj`` is its folder of PROJ's data.
@@ -90,7 +90,7 @@ class Interpreter:
     versions: Dict[str, str]
 
     def lacks(self) -> List[str]:
-        """What of QGIS's own packages is missing, so that it cannot be the Python of a QGIS that works."""
+        """The packages of QGIS that are missing: without them it cannot be the Python of a working QGIS."""
         return [name for name in OF_QGIS if name != "scipy" and name not in self.versions]
 
 
@@ -121,7 +121,7 @@ print(json.dumps({"version": sys.version_info[:2], "gdal": gdal, "proj": proj, "
 
 
 def asked(program: str) -> Interpreter:
-    """What a Python says of itself; raises MissingPackageError where it is no Python that runs."""
+    """The facts about a Python, by running it; raises MissingPackageError where it is no Python that runs."""
     packages = json.dumps([[package.module, package.distribution] for package in PACKAGES])
     try:
         done = subprocess.run(  # nosec B603 # no shell, and an argument list of our own

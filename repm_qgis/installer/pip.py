@@ -20,7 +20,7 @@ from .interpreter import variables
 _POLL_S = 0.3
 _LOOK_S = 1.0
 _OLDEST = (20, 3)  # the first with the resolver that keeps constraints
-# Settings for other places or other ways of installing than ours; an index, a certificate and a cache stay the user's.
+# Settings that would install elsewhere or in another way; the user's index, certificate and cache stay.
 _REFUSED = ("TARGET", "PREFIX", "ROOT", "PYTHON", "NO_BINARY", "DRY_RUN", "CONSTRAINT", "REQUIREMENT", "LOG")
 # pip ends at once when we are gone, however that happens: the pipe on its standard input closes then.
 _RUN = """
@@ -80,7 +80,7 @@ def wheel_with_pip(python: str, wheels: str) -> str:
 
 
 def settings(python: str, proxy: str, wheels: str, temporary: str) -> Dict[str, str]:
-    """pip's variables: the user's settings, without what would lead it elsewhere.
+    """pip's variables: the user's settings, without those that would install elsewhere.
 
     The proxy is a variable and no argument: others could read an argument with its password in the list of processes.
     """
@@ -111,7 +111,7 @@ def install(
     """Install requirements into the environment of ``python``, from the index or a folder of wheels alone.
 
     ``constraints`` is pip's file of what to keep; ``expected_bytes`` what will be downloaded and unpacked, of which
-    progress is a share. ``log`` hears every line. Raises a RepmError in one sentence, and Cancelled.
+    progress is a share. ``log`` gets every line. Raises a RepmError in one sentence, and Cancelled.
     """
     folder = os.path.dirname(os.path.dirname(python))
     temporary = os.path.join(folder, "tmp")
@@ -146,7 +146,7 @@ def _followed(
     progress: Progress,
     log: Callable[[str], None],
 ) -> List[str]:
-    """Say what pip does until it ends; its last lines."""
+    """Report the progress of pip until it ends; gives its last lines."""
     lines: "queue.Queue[Optional[str]]" = queue.Queue()
 
     def read(stream: IO[bytes]) -> None:
@@ -177,7 +177,7 @@ def _followed(
 
 
 def _doing(line: str) -> str:
-    """What a line of pip means for somebody who waits; "" for nothing."""
+    """The progress text for a line of pip; "" for none."""
     words = line.split()
     if line.lstrip().startswith(("Downloading ", "Using cached ", "Processing ")):
         name = os.path.basename(words[1] if words[0] != "Using" else words[2])
@@ -206,7 +206,7 @@ _NONE = re.compile(r"No matching distribution found for (\S+)")
 
 
 def failure(lines: Sequence[str], code: int, proxy: str, wheels: str) -> RepmError:
-    """What kept pip from installing, and what helps, in a sentence."""
+    """Why pip could not install, and the remedy, in a sentence."""
     text = "\n".join(lines)
     last = lines[-1] if lines else ""
     said = next((line for line in reversed(lines) if line.startswith("ERROR:") and line != "ERROR: Exception:"), last)

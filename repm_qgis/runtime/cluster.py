@@ -1,8 +1,8 @@
 """The workers of a Dask cluster, in place of this machine's: the same tasks, the same results.
 
 Only tasks and small records travel; pixels are read and written by the workers, on storage that all of them share.
-What a worker lacks, or cannot see, is found before the work begins. Dask (https://distributed.dask.org) is imported
-here alone, and this module only where a cluster is asked for.
+Missing packages and files of a worker are found before the work begins. Dask (https://distributed.dask.org) is imported
+only here, and this module only where a cluster is requested.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _KEY_NAME = "repm-cluster.pem"
 _KEY_DAYS = 180  # after which a new one is made; Dask's certificates are valid for a year
 _MOST_BYTES = 10 << 20  # of a scheduler file
 _POLL_S = 0.02
-_LOOK_S = 5.0  # between two looks at whether there are workers left
+_LOOK_S = 5.0  # between two checks whether there are workers left
 _OUTSTANDING = 2000  # tasks that the scheduler knows at a time, so that memory does not grow with their number
 _PACKAGES = ("repm_qgis", "osgeo.gdal", "numpy", "cv2", "scipy", "pyproj", "laspy", "lazrs")
 _FILLED = 0.8  # of a worker's memory limit: above that Dask gives it no more tasks
@@ -93,7 +93,7 @@ def _is_own_key(path: str) -> bool:
 
 
 def security(key: str) -> Security:
-    """What Dask wants to know to use the key and certificate of a file for everything."""
+    """Dask's settings to use the key and certificate of a file for everything."""
     each = {f"tls_{role}_{part}": key for role in ("client", "scheduler", "worker") for part in ("key", "cert")}
     return Security(require_encryption=True, tls_ca_file=key, **each)
 
@@ -106,7 +106,7 @@ def _security(scheduler: str, address: str) -> Security:
     found = Security()
     if scheduler.startswith("tls://") and not found.get_connection_args("client").get("ssl_context"):
         keys = f"give the scheduler file that lies beside its {_KEY_NAME}, or name its keys to Dask"
-        raise ClusterError(f"The cluster at '{address}' wants TLS: {keys} (docs/cluster.md, Security).")
+        raise ClusterError(f"The cluster at '{address}' requires encryption (TLS): {keys} (docs/cluster.md, Security).")
     return found
 
 
@@ -137,7 +137,7 @@ def _in_scheduler_file(path: str) -> str:
 def _close(client: Client) -> None:
     with suppress(Exception):  # the scheduler may be gone
         client.close(timeout=1)
-    client.status = "closed"  # else it would try again, for as long as it waits for answers, when it is collected
+    client.status = "closed"  # otherwise it would try again when it is collected, for as long as its timeout
 
 
 class _Prepared(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
@@ -151,7 +151,7 @@ class _Prepared(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
 
 def _facts() -> Callable[[Sequence[str]], Dict[str, Any]]:
     def facts(packages: Sequence[str]) -> Dict[str, Any]:
-        """The versions of packages, what REPM's code is, and how many threads linear algebra has.
+        """The versions of packages, a digest of REPM's code, and the number of threads of linear algebra.
 
         It must run where REPM is missing or another one: a function within a function travels as its code.
         """
@@ -179,7 +179,8 @@ def _facts() -> Callable[[Sequence[str]], Dict[str, Any]]:
 
 
 def _unusable_here(files: Dict[str, int], probes: Dict[str, str]) -> List[Tuple[str, str]]:
-    """What a worker cannot use, and why: files by their sizes, -1 for folders, and folders by a file's text in them."""
+    """The paths that a worker cannot use, and why: files by their sizes, -1 for folders, and folders by a file's text
+    in them."""
     wrong = []
     for path, size in files.items():
         try:
@@ -192,7 +193,7 @@ def _unusable_here(files: Dict[str, int], probes: Dict[str, str]) -> List[Tuple[
     for path, text in probes.items():
         try:
             if Path(path).read_text(encoding="ascii") != text:
-                wrong.append((os.path.dirname(path), "it is another folder there"))
+                wrong.append((os.path.dirname(path), "it is a different folder there"))
                 continue
             answer = Path(f"{path}-{os.getpid()}")
             answer.write_text(text, encoding="ascii")
@@ -213,7 +214,7 @@ def _ask(client: Client, question: Callable[..., Any], *arguments: Any) -> Dict[
 
 
 def _same_everywhere(client: Client, address: str) -> Dict[str, Dict[str, Any]]:
-    """What the scheduler knows of its workers; raises ClusterError for none, or one that differs from this machine."""
+    """The scheduler's facts about its workers; raises ClusterError for none, or one that differs from this machine."""
     try:
         client.wait_for_workers(1, timeout=_CONNECT_S)
     except (OSError, asyncio.TimeoutError) as error:
@@ -249,10 +250,10 @@ def _size(path: str) -> int:
 def _require_shared(
     client: Client, workers: Dict[str, Dict[str, Any]], read: Sequence[str], folders: Sequence[str]
 ) -> None:
-    """Raise ClusterError with the first machine and path where a worker does not see what this machine sees."""
+    """Raise ClusterError with the first machine and path that a worker sees differently from this machine."""
     files = {}
     for path in read:
-        with suppress(OSError):  # what is not here either is for the stage to say
+        with suppress(OSError):  # a path that is missing here too is reported by the stage
             files[path] = -1 if os.path.isdir(path) else _size(path)
     text, probes = uuid.uuid4().hex, {}
     try:
@@ -349,7 +350,7 @@ class _ClusterWorkers:
         return ClusterError(f"The scheduler of the cluster at '{self._address}' has ended: {remedy}.")
 
     def _look(self, progress: Progress) -> None:
-        """See that there is a scheduler, and say where there is no worker."""
+        """Check that the scheduler runs, and report where there is no worker."""
         if self._client.status != "running":
             raise self._gone()
         if not self._client.nthreads():

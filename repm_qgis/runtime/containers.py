@@ -1,4 +1,4 @@
-"""What limits of memory the system sets on this process: those of its control groups (containers), and its own.
+"""The memory limits of this process: those of its control groups (containers), and its own.
 
 References
 ----------
@@ -40,7 +40,8 @@ _VERSIONS = (
 
 
 def container_rest(root: str = "/") -> Optional[int]:
-    """What the limits of this process's control groups leave, bytes; None without a limit. ``root`` is for tests.
+    """The memory that the limits of this process's control groups leave, bytes; None without a limit. ``root`` is for
+    tests.
 
     Every group from the process's own up to the mounted one may have a limit, so the smallest rest counts. Cached
     files that were not used lately do not count as used: the kernel drops them before it refuses memory.
@@ -58,7 +59,7 @@ def container_rest(root: str = "/") -> Optional[int]:
 def memory_kills(root: str = "/") -> Optional[int]:
     """How many processes of this process's control group, or else of this machine, were killed for want of memory.
 
-    A number that has risen between two calls says so for certain; None where the system does not count.
+    A number that has risen between two calls is proof of it; None where the system does not count.
     """
     for version in _VERSIONS:
         for folder in _groups(version, root):
@@ -70,7 +71,7 @@ def memory_kills(root: str = "/") -> Optional[int]:
 
 
 def own_rest(root: str = "/") -> Optional[int]:
-    """What the limit of this process's address space (``ulimit -v``) leaves, bytes; None without one."""
+    """The memory that the limit of this process's address space (``ulimit -v``) leaves, bytes; None without one."""
     if sys.platform == "win32":
         return None
     import resource
@@ -97,7 +98,7 @@ def _groups(version: _Version, root: str) -> Iterator[Path]:
         if len(fields) < 5 or kind[0] != version.filesystem or version.hierarchy not in ["", *kind[2].split(",")]:
             continue
         mount, top = Path(root) / fields[4].lstrip("/"), fields[3].rstrip("/")
-        # A container may see its own group as the root of what is mounted, and still be told the whole path.
+        # A container may see its own group as the mounted root, although the file states the whole path.
         inside = own[len(top) :] if own == top or own.startswith(f"{top}/") else ""
         folder = mount / inside.strip("/")
         if ".." in Path(inside).parts or not folder.is_dir():
@@ -120,7 +121,7 @@ def _table(path: Path) -> Dict[str, int]:
 
 
 def _text(path: Path) -> str:
-    """What a file of the kernel says, "" where there is none."""
+    """The text of a file of the kernel, "" where there is none."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError:

@@ -1,7 +1,6 @@
-"""What is installed here, what is missing with what installs it, and what this machine has.
-
-Answers questions only: nothing is imported but what is asked about, nothing is changed. Packages whose import may take
-long or end the process are asked for their version in their metadata, not by importing them.
+"""The installed and the missing packages, how to install the missing ones, and the hardware of this machine. This
+module only reports: it imports no more than it has to, and changes nothing. The version of a package whose import may
+take long or end the process is read from its metadata.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ def version_of(package: Package) -> Optional[str]:
 
 
 def remedy_for(package: Package) -> str:
-    """What installs a missing package, in words that follow "To install it,": never pip into QGIS's own Python."""
+    """How to install a missing package, in words that follow "To install it,": never pip into QGIS's own Python."""
     if package.download_mb:
         return INSTALL_REMEDY
     if shutil.which("apt-get"):
@@ -64,7 +63,7 @@ def remedy_for(package: Package) -> str:
 
 
 def fresh_answer(code: str, seconds: float = _ASK_SECONDS, options: tuple[str, ...] = ()) -> str:
-    """What a fresh interpreter prints for this code: a crash in a native library stays there. "" on any failure.
+    """The output of a fresh interpreter for this code: a crash in a native library stays there. "" on any failure.
 
     ``options`` are the interpreter's own.
     """
@@ -95,8 +94,8 @@ class Gpu:
         return f"{self.name}, {self.total_bytes / 2**30:.0f} GiB"
 
 
-# CUDA's driver is asked by itself: it respects CUDA_VISIBLE_DEVICES, needs no nvidia-smi, and a device whose memory can
-# be read has a context, which is what a lost or reserved one refuses.
+# CUDA's driver is queried directly: it respects CUDA_VISIBLE_DEVICES, needs no nvidia-smi, and a device whose memory
+# can be read has a context, which is what a lost or reserved one refuses.
 _DRIVER = """
 import ctypes, json, sys
 cuda = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
@@ -140,7 +139,7 @@ def cuda() -> dict[str, Any]:
 
 
 def cuda_remedy(built: bool, device: bool) -> str:
-    """What makes CUDA usable here; "" where it is."""
+    """How to make CUDA usable here; "" where it is."""
     numpy = version_of(PACKAGES[0])
     keep = f' "numpy=={numpy}"' if numpy else ""  # named, so that pip can never replace QGIS's own
     pip = f'"{sys.executable}" -m pip' if " " in sys.executable else f"{sys.executable} -m pip"
@@ -160,7 +159,7 @@ def cuda_usable() -> bool:
 
 
 def memory() -> dict[str, Optional[int]]:
-    """``total_bytes`` and ``available_bytes`` of this machine; None where it does not say."""
+    """``total_bytes`` and ``available_bytes`` of this machine; None where they are unknown."""
     known = kernel_memory()
     return {"total_bytes": known.get("MemTotal", physical_memory()), "available_bytes": known.get("MemAvailable")}
 

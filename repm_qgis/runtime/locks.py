@@ -1,9 +1,8 @@
-"""One run at a time where two would write the same files: the second says whom it waits for, and waits.
+"""One run at a time where two would write the same files: the second run names the first one, and waits for it.
 
 The operating system holds the locks (flock, or LockFile on Windows), so they end with their process, however it ends:
-there are no stale locks. The file only says who has it. Its name can be foreseen, and the folder may have come from
-anybody: what lies there under that name and is no lock (a link, a pipe, a file of the user) is neither followed nor
-waited for nor written to.
+there are no stale locks. The file only names the owner. Its name is predictable, and the folder may have come from
+anybody: a link, a pipe or a file of the user under this name is neither followed nor waited for nor written to.
 """
 
 from __future__ import annotations
@@ -36,8 +35,9 @@ _held: Set[str] = set()
 def exclusive(stage: str, progress: Progress, folders: Sequence[str] = (), files: Sequence[str] = ()) -> Iterator[None]:
     """Keep folders and files for this process within the block; waits while another process has one of them.
 
-    A path that this process holds already is passed over, so that a run holds what its stages ask for. Raises
-    Cancelled while it waits, WorkspaceError where no lock can be made, or where its name is taken by what is no lock.
+    A path that this process holds already is skipped, so that the stages of a run can lock what the run has locked.
+    Raises Cancelled while it waits, WorkspaceError where no lock can be made, or where its name belongs to a file that
+    is no lock.
     """
     with ExitStack() as stack:
         inside = {str(real_target(folder) / ".repm.lock") for folder in folders}
@@ -131,7 +131,7 @@ def _lock(descriptor: int) -> bool:
     except OSError as error:
         if error.errno:
             raise
-        return False  # Wine's C library does not say why
+        return False  # Wine's C library gives no reason
     return True
 
 

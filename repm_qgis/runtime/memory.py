@@ -1,4 +1,5 @@
-"""How many workers fit into memory: what is free, what a task takes, and what to do where one alone is too much."""
+"""How many workers fit into memory: free memory, the memory of a task, and what to do where one task alone needs too
+much."""
 
 from __future__ import annotations
 
@@ -70,8 +71,8 @@ def _windows_mib() -> Optional[float]:
 
 @dataclass(frozen=True)
 class Work:
-    """What a worker does at a time: its ``name`` in messages, the memory that it takes at most, MiB, as estimated
-    below, and what the user may choose so that it fits into other MiB, as the rest of a sentence."""
+    """The work of one task: its ``name`` in messages, its peak memory in MiB, as estimated below, and what the user may
+    choose so that it fits into a given memory, as the rest of a sentence."""
 
     name: str
     mib: float
@@ -161,9 +162,9 @@ _PART_CELLS = 536**2  # that are fused at once, with their margin (fusion/tile_f
 def fusing_mib(pixels: Sequence[int], cells: int) -> float:
     """Peak memory of a worker that fuses height maps of so many pixels each into a tile of so many cells, MiB.
 
-    Maps are read one after the other, as much of each as a part of the tile needs; their heights stay as witnesses, and
-    where they are in conflict each is compared with each. Fitted to measured peaks of 1 to 26 maps on 0.02 to 6.3
-    million cells, as :func:`matching_mib`.
+    Maps are read one after the other, as much of each as a part of the tile needs; their heights stay as observations,
+    and where these disagree each is compared with each. Fitted to measured peaks of 1 to 26 maps on 0.02 to 6.3 million
+    cells, as :func:`matching_mib`.
     """
     maps, part = len(pixels), min(cells, _PART_CELLS)
     share = min(1.0, 1.3 * _PART_CELLS / max(cells, 1))
@@ -191,8 +192,8 @@ def colouring_mib(cells: int, views: int, bands: int) -> float:
     """Peak memory of a worker that colours a block of so many cells with so many views (ortho/colour_ortho.py), MiB.
 
     Fitted to measured peaks of 1 to 8 views of 3 bands and 1 to 3 pansharpened ones of 4, on 0.1 to 0.9 million cells:
-    one view alone takes what its own colours need, several take what choosing between them needs. What hides a cell is
-    looked for before that, up to 512 cells away, and takes less.
+    one view alone takes what its own colours need, several take what choosing between them needs. The visibility test
+    comes before that, up to 512 cells away, and takes less.
     """
     alone, together = 90.0 + 20.0 * bands, 4.0 * views * (4.0 * bands + 5.0 + 0.56 * views)
     return 115.0 + max(alone, together) * cells / _MIB

@@ -48,7 +48,7 @@ class Workers(Protocol):
 
     @property
     def task_mib(self) -> Optional[float]:
-        """The memory that a task may take, MiB; None where that is for this machine to say."""
+        """The memory that a task may take, MiB; None where the tasks run on this machine."""
 
     def run(
         self,
@@ -175,7 +175,7 @@ class _Pool:
         return [-signal.SIGTERM if code == _TERMINATED else code for code in codes]
 
     def _end(self) -> None:
-        """End the workers amid their tasks."""
+        """End the workers while they work."""
         for process in self._processes():
             process.terminate()
         self._let_go(ended=True)
@@ -189,8 +189,8 @@ class _Pool:
         return list((getattr(self._executor, "_processes", None) or {}).values())
 
     def close(self) -> None:
-        """Let the workers go."""
-        if os.name == "nt":  # where nothing counts what they used, and one that is still importing takes seconds to end
+        """Let the workers end."""
+        if os.name == "nt":  # nothing counts their time there, and one that is still importing takes seconds to end
             self._end()
         else:
             self._let_go()
@@ -222,7 +222,7 @@ def _unblocked(executor: ProcessPoolExecutor) -> Iterator[None]:
                         queue._reader.recv_bytes()
 
     thread = threading.Thread(target=unblock, name="unblock", daemon=True)
-    with suppress(RuntimeError):  # no memory for it: then for the most part nothing is on its way
+    with suppress(RuntimeError):  # no memory for it: then usually no task is on its way
         thread.start()
     try:
         yield
@@ -271,7 +271,7 @@ def _own_place_for_sockets() -> None:
 
 
 def _stop_server() -> None:
-    """End the server and wait for it, so that what its copies used is counted as used by this process."""
+    """End the server and wait for it, so that the processor time of its copies is counted for this process."""
     stop = getattr(getattr(sys.modules.get("multiprocessing.forkserver"), "_forkserver", None), "_stop", None)
     if stop is not None:  # no public name has it; without it the server ends by itself, soon after this process
         stop()
@@ -321,7 +321,7 @@ def packed(function: Callable[[Any], Any], task: Any) -> bytes:
 
 
 def do_task(work: bytes) -> Any:
-    """A :func:`packed` task, in a worker. It is unpacked here, so that what an import lacks is said."""
+    """A :func:`packed` task, in a worker. It is unpacked here, so that a missing import is reported."""
     with shortage_as_error():
         function, task = pickle.loads(work)  # nosec B301 # noqa: S301 - made by the process that started this one
         return function(task)
@@ -342,7 +342,7 @@ def _unguarded() -> RepmError:
 
 
 def _death(codes: Sequence[Optional[int]], certain: bool, done: int, total: int) -> RepmError:
-    """What is said of a worker that ended without an answer, by the exit codes of all, and of how many tasks."""
+    """The error for a worker that ended without an answer, by the exit codes of all workers and the tasks done."""
     when = f"after {done} of {total} tasks"
     if certain:
         return OutOfMemoryError(f"The system killed a worker process {when} because memory ran out: {MEMORY_REMEDY}.")
@@ -383,7 +383,7 @@ def _require_thread(*errors: Optional[BaseException]) -> None:
 def as_they_end(
     pending: Dict["Future[Any]", int], progress: Progress, check: Callable[[], None] = lambda: None
 ) -> Iterator[Tuple[int, "Future[Any]"]]:
-    """Futures with their numbers as they end, taken out of ``pending``; Cancel is heard while waiting.
+    """Futures with their numbers as they end, taken out of ``pending``; a cancel is obeyed while waiting.
 
     ``check`` is called where none has ended for a while.
     """
@@ -397,7 +397,7 @@ def as_they_end(
 
 
 def _end_with_engine() -> None:
-    """End this worker as soon as the engine is gone, killed say: nobody would take its results."""
+    """End this worker as soon as the engine is gone, for example killed: nobody would use its results."""
     engine = multiprocessing.parent_process()
 
     def watch() -> None:
@@ -416,7 +416,7 @@ def begin_worker() -> None:
     except (OutOfMemoryError, ImportError) as error:
         if isinstance(error, ModuleNotFoundError):
             raise
-        # A package that is there, and that the server may have failed to load whole. The engine says it.
+        # An installed package that the server may have failed to load completely. The engine reports it.
         os._exit(_NO_MEMORY)
 
 

@@ -1,4 +1,4 @@
-"""What one process takes for itself: threads of linear algebra, memory that was freed, the cache of GDAL."""
+"""The resources of one process: threads of linear algebra, freed memory, the cache of GDAL."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _pinned = [0]  # how many blocks have one thread now
 def one_thread_for_loaded_sums() -> Iterator[None]:
     """Within the block linear algebra that is loaded already uses one thread; then as many as before.
 
-    For a process that is not ours, such as QGIS's: what it sets up counts for others too. Several of its threads may be
+    For a process that is not ours, such as QGIS's: its settings affect other code too. Several of its threads may be
     in such a block at the same time. Apple's Accelerate has no such setting, and stays as it is.
     """
     with _linear_algebra:
@@ -63,7 +63,8 @@ def one_thread_for_loaded_sums() -> Iterator[None]:
 
 
 def _thread_settings() -> Iterator[Tuple[Callable[[], int], Callable[[int], Any]]]:
-    """What reads and sets the number of threads of each library of linear algebra that numpy and SciPy have loaded."""
+    """The functions that read and set the number of threads of each library of linear algebra that numpy and SciPy have
+    loaded."""
     import numpy.linalg
 
     modules = ("numpy.linalg._umath_linalg", "scipy.linalg._fblas", "scipy.linalg._flapack")

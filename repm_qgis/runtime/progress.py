@@ -1,4 +1,4 @@
-"""How a stage reports what it is doing, and learns that it should stop."""
+"""How a stage reports its progress, and checks whether it should stop."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def listed(names: Sequence[str], between: str = ", ") -> str:
 
 
 class Silent:
-    """Says nothing and is never cancelled: for tests and for library use."""
+    """Reports nothing and is never cancelled: for tests and for library use."""
 
     def step(self, fraction: float, text: str = "") -> None:
         pass
@@ -101,7 +101,7 @@ class JsonLines:
         self._lock = threading.RLock()
 
     def cancelled_by(self, asked: Callable[[], bool]) -> None:
-        """Ask this at every check from now on."""
+        """Call ``asked`` at every check from now on."""
         self._cancelled = asked
 
     def send(self, **message: object) -> None:
@@ -111,7 +111,7 @@ class JsonLines:
             self._closed = message["type"] in ("result", "error", "bug")
 
     def last_words(self, **message: object) -> None:
-        """Send a closing message where none was sent, even if whoever is sending never comes back."""
+        """Send a closing message where none was sent, even if another thread is stuck while it sends."""
         free = self._lock.acquire(timeout=0.2)
         if not self._closed:
             os.write(self._stream.fileno(), (("" if free else "\n") + json.dumps(message) + "\n").encode())

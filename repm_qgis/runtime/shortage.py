@@ -1,4 +1,4 @@
-"""Want of memory, disk space or open files, told from the errors of whatever library met it, and said in a sentence."""
+"""Lack of memory, disk space or open files: recognised from the errors of any library, and reported in a sentence."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MEMORY_WORDS = re.compile(
 
 
 def speaks_of_memory(text: str) -> bool:
-    """Whether a library's words say that memory ran out."""
+    """Whether a library's message means that memory ran out."""
     return _MEMORY_WORDS.search(text) is not None
 
 
@@ -46,7 +46,7 @@ def reserve_buffers() -> None:
 
 @contextmanager
 def shortage_as_error() -> Iterator[None]:
-    """Within the block want of memory, disk space or open files raises OutOfMemoryError or WorkspaceError."""
+    """Within the block, a lack of memory, disk space or open files raises OutOfMemoryError or WorkspaceError."""
     try:
         yield
     except (OutOfMemoryError, WorkspaceError, KeyboardInterrupt, SystemExit, GeneratorExit):

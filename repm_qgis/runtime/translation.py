@@ -4,8 +4,8 @@
 what is filled in (``"{0} tiles of up to {1} px"``), and its translation with the same fields in any order.
 ``scripts/i18n.py`` collects the sentences from the source, and says which ones lack a translation.
 
-A text is compared with the templates, the most literal first; what stands in a field is translated in the same way, as
-sentences are made of phrases. What nothing fits stays as it is: numbers, paths, names.
+A text is compared with the templates, the most literal first; the contents of a field are translated in the same way,
+because sentences consist of phrases. Texts that no template fits stay as they are: numbers, paths, names.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class _Template:
         self._pieces = [*([""] if before else []), *_FIELD.split(source)[::2], *([""] if after else [])]
         self._numbers = [*([-1] if before else []), *map(int, _FIELD.findall(source)), *([-2] if after else [])]
         self._target = ("{-1}" if before else "") + target + ("{-2}" if after else "")
-        # A path or a name in quotation marks is nobody's sentence.
+        # A path or a name in quotation marks is not translated.
         around = zip(self._pieces, self._pieces[1:])
         self._kept = [left[-1:] == "'" and right[:1] == "'" for left, right in around]
         self.weight = sum(map(len, self._pieces))
@@ -128,7 +128,7 @@ class Translator:
         return _ENGLISH
 
     def translate(self, text: str) -> str:
-        """The text in this language; what is not known of it stays as it is."""
+        """The text in this language; unknown parts stay as they are."""
         return self.search(text).text
 
     def _search(self, text: str) -> _Found:
@@ -206,7 +206,7 @@ _labels: ContextVar[Mapping[str, str]] = ContextVar("labels", default=_NO_LABELS
 def written_in(language: Optional[str], labels: Optional[Mapping[str, str]] = None) -> Iterator[None]:
     """Within the block, reports and legends are written in this language; None is English.
 
-    ``labels`` are what a dialog calls the options, by their names in capitals: reports say these instead. Raises
+    ``labels`` are the dialog's labels of the options, by their names in capitals: reports use these instead. Raises
     OptionError for what is no language's code or no labels. A language without a catalogue is English.
     """
     if labels is not None and not (
@@ -224,12 +224,12 @@ def written_in(language: Optional[str], labels: Optional[Mapping[str, str]] = No
 
 
 def reader() -> Translator:
-    """Who reads what is written now."""
+    """The reader of the texts that are written now."""
     return _reader.get()
 
 
 def labels() -> Mapping[str, str]:
-    """What the dialog of who reads calls the options, by their names in capitals; empty where there is no dialog."""
+    """The labels of the options in the reader's dialog, by their names in capitals; empty where there is no dialog."""
     return _labels.get()
 
 

@@ -1,4 +1,4 @@
-"""What only Windows has to be asked, by its own calls; on other systems nothing is done."""
+"""Calls of Windows' own functions; on other systems nothing is done."""
 
 from __future__ import annotations
 
@@ -70,7 +70,8 @@ def process_exists(number: int) -> bool:
 
 
 def exit_code(handle: int) -> Optional[int]:
-    """The exit code of a process by its handle, 259 while it runs; None where it is not told, and on other systems."""
+    """The exit code of a process by its handle, 259 while it runs; None where Windows gives none, and on other
+    systems."""
     code = ctypes.c_ulong()
     if sys.platform == "win32" and ctypes.WinDLL("kernel32").GetExitCodeProcess(
         ctypes.c_void_p(handle), ctypes.byref(code)
@@ -86,9 +87,9 @@ def cancel_transfers(handle: int) -> None:
 
 
 def change_time(path: str) -> int:
-    """When a file or what is known of it was last changed, in units of 100 ns; 0 where that is not told.
+    """When a file or its metadata were last changed, in units of 100 ns; 0 where that is unknown.
 
-    Nobody can set it back, as one can the time of its last writing.
+    Unlike the time of the last writing, it cannot be set back.
     """
     if sys.platform != "win32":
         return 0

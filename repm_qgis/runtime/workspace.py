@@ -26,7 +26,7 @@ from ..contracts.errors import Cancelled, RepmError, WorkspaceError
 from ..contracts.paths import real_path
 from . import windows
 
-_kept: Dict[str, os.stat_result] = {}  # what was found at each file of keeping_place
+_kept: Dict[str, os.stat_result] = {}  # the folder that was found for each file of keeping_place
 
 
 @contextmanager
@@ -42,7 +42,7 @@ def keeping_place(file: str) -> Iterator[None]:
     except Cancelled:
         raise
     except Exception:
-        _require_place(folder)  # else some file is missing, and that would be all that is said
+        _require_place(folder)  # otherwise the error would only say that some file is missing
         raise
     finally:
         del _kept[file]
@@ -131,13 +131,14 @@ def real_target(path: str, own: bool = False) -> Path:
 
 
 def drop_temporary(path: str, own: bool = False) -> None:
-    """Remove what processes of this machine that are gone have left of earlier attempts to write ``path``."""
+    """Remove the temporary files of earlier attempts to write ``path``, by processes of this machine that have
+    ended."""
     target = real_target(path, own)
     _drop(target.parent, glob.escape(_prefix(target)))
 
 
 def drop_temporaries(folder: str) -> None:
-    """Remove what processes of this machine that are gone have left of attempts to write anything into a folder."""
+    """Remove the temporary files of attempts to write into a folder, by processes of this machine that have ended."""
     _drop(Path(folder), ".*.part-")
 
 
@@ -149,7 +150,7 @@ def _drop(folder: Path, prefix: str) -> None:
 
 
 def remove_own_temporaries() -> None:
-    """Remove all that this process is writing; for a process that is about to end itself."""
+    """Remove all files that this process is writing; for a process that is about to end itself."""
     for path in sorted(_own_temporaries):
         remove_temporary(path)
 
@@ -159,7 +160,8 @@ def _prefix(target: Path) -> str:
 
 
 def _machine() -> str:
-    """What distinguishes this machine from others that may write into the folder: its name, its process numbers."""
+    """A digest that distinguishes this machine from others that may write into the folder: its name, its process
+    numbers."""
     try:
         space = os.readlink("/proc/self/ns/pid")
     except (OSError, AttributeError):
@@ -179,7 +181,7 @@ def process_exists(number: int) -> bool:
         os.kill(number, 0)
     except ProcessLookupError:
         return False
-    except OSError:  # it is there, and another user's
+    except OSError:  # it exists, and belongs to another user
         return True
     return True
 
@@ -195,8 +197,8 @@ def remove_temporary(path: str) -> None:
 
 
 def take_name(temporary: str, path: str, own: bool = False) -> None:
-    """Give a whole file its name, for good: what it holds is on the disk before the name is. It has the permissions of
-    the file that it replaces. ``own`` as in :func:`temporary_name`.
+    """Give a complete file its name, permanently: its contents are on the disk before its name is. It has the
+    permissions of the file that it replaces. ``own`` as in :func:`temporary_name`.
 
     Raises WorkspaceError where the name is taken by a folder, say, and Cancelled after :func:`name_nothing_more`.
     """
@@ -225,12 +227,12 @@ def _keep_permissions(temporary: str | os.PathLike[str], target: Path) -> None:
 
 _IN_USE = (5, 32, 33)  # Windows: access denied, sharing violation, lock violation (winerror.h)
 _FOR_REMOVAL = 6  # open files: to list a folder takes some for each level
-_PATIENCE_S = 2.0  # for virus scanners and indexers, which open a new file for a moment
+_PATIENCE_S = 2.0  # because virus scanners and indexers open a new file for a moment
 
 
 def _replace(source: str | os.PathLike[str], target: Path) -> None:
     """``os.replace``; Windows refuses it while another program has either open, and then it is tried for a while."""
-    if os.name == "nt" and os.path.isdir(target) and not os.path.isdir(source):  # else it is said to be in use
+    if os.name == "nt" and os.path.isdir(target) and not os.path.isdir(source):  # otherwise it is reported as in use
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
     end = time.monotonic() + _PATIENCE_S
     while True:
@@ -292,7 +294,7 @@ def _sync(path: str) -> None:
 _FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
 _TOO_MANY = (errno.EMFILE, errno.ENFILE)
 OF_THE_DISK = (*_FULL, *_TOO_MANY, errno.EFBIG, errno.EROFS)
-"""The errors that keep any file from being written: they are nobody's mistake."""
+"""The errors that keep any file from being written; no input is the cause."""
 _PROBE = bytes(1 << 20)
 # GDAL, libtiff and HDF5 where a file takes less than was written.
 _CUT_SHORT = re.compile(
@@ -318,7 +320,7 @@ def _is_too_long(path: str, error: OSError) -> bool:
 
 
 def cannot_write(path: str, error: OSError, written: int = 0) -> WorkspaceError:
-    """The sentence for a file or folder that cannot be written: what stood in the way, and what helps.
+    """The sentence for a file or folder that cannot be written: the obstacle and the remedy.
 
     ``written`` are the bytes of it that were. An error that is such a sentence already stays as it is.
     """
@@ -359,12 +361,12 @@ def cannot_write(path: str, error: OSError, written: int = 0) -> WorkspaceError:
 def not_written(path: str, reason: str, temporary: str = "") -> WorkspaceError:
     """The sentence for a file that a library could not write; its ``reason`` counts where the disk has none.
 
-    Libraries seldom say that the disk is full: an attempt to write to ``temporary``, or beside ``path``, tells.
+    Libraries seldom report that the disk is full: an attempt to write to ``temporary``, or beside ``path``, shows it.
     """
     error = _obstacle(temporary or os.path.dirname(real_path(path)))
     if error is not None:
         return cannot_write(path, error, size_of(temporary))
-    if _CUT_SHORT.search(reason):  # what filled the disk may be gone by now: another worker's file, say
+    if _CUT_SHORT.search(reason):  # the file that filled the disk may be gone by now, for example another worker's
         free = f"{(free_bytes(path) or 0) / 2**20:.1f} MiB free now"
         return WorkspaceError(
             f"Cannot write '{path}': the disk did not take all of it ({reason}; {free}): free some space, or choose a "
@@ -374,7 +376,8 @@ def not_written(path: str, reason: str, temporary: str = "") -> WorkspaceError:
 
 
 def _obstacle(place: str) -> Optional[OSError]:
-    """What keeps a file from growing, or a folder from taking another, as an attempt shows; None if nothing does."""
+    """The error that keeps a file from growing, or a folder from getting another file, by an attempt; None if there is
+    none."""
     try:
         with tempfile.TemporaryFile(dir=place) if os.path.isdir(place) else open(place, "ab") as stream:
             stream.write(_PROBE)
@@ -393,9 +396,9 @@ def size_of(path: str) -> int:
 
 @contextmanager
 def writing(path: str, temporary: str = "") -> Iterator[None]:
-    """Within the block, what keeps ``path`` from being written raises WorkspaceError, whichever library meets it.
-
-    ``temporary`` is what is written under another name first. Errors that have another cause stay as they are.
+    """Within the block, any error of writing ``path`` becomes a WorkspaceError, whichever library raises it.
+    ``temporary`` is the file that is written first, under another name. Errors that have another cause stay as they
+    are.
     """
     try:
         yield
@@ -458,7 +461,7 @@ def with_copy(kept: str, wanted: Optional[str]) -> List[str]:
 
 @contextmanager
 def temporary_folder(path: str) -> Iterator[str]:
-    """A new folder beside ``path`` for what lives only within the block."""
+    """A new folder beside ``path`` for files that exist only within the block."""
     folder = temporary_name(path)
     with _removed(folder):
         yield str(ensure_folder(folder))
@@ -481,9 +484,9 @@ def _removed(folder: str) -> Iterator[None]:
 
 @contextmanager
 def whole_folder(path: str) -> Iterator[Path]:
-    """A new folder to fill: it takes its name, and an older one's place, only when the block ends without an error.
+    """A new folder to fill: it gets its name, and replaces an older one, only when the block ends without an error.
 
-    Whoever calls sees to it that an older folder there may go. Raises WorkspaceError.
+    The caller ensures that an older folder there may be removed. Raises WorkspaceError.
     """
     target = real_target(path)
     recover_folder(path)
@@ -499,9 +502,9 @@ def whole_folder(path: str) -> Iterator[Path]:
 
 
 def _take_place(temporary: Path, target: Path) -> None:
-    """Give a folder its name; an older one of that name goes.
+    """Give a folder its name; an older one of that name is removed.
 
-    Where the system can exchange two names in one step, there is a whole folder at every moment. Where it cannot, the
+    Where the system can exchange two names in one step, a complete folder exists at every moment. Where it cannot, the
     older one is put aside first, and :func:`recover_folder` finds it there after a kill between the two steps.
     """
     _require_naming()
@@ -553,9 +556,9 @@ def _exchange(first: Path, second: Path) -> bool:
 
 
 def file_identity(path: str) -> List[Any]:
-    """What distinguishes a file from a changed one without reading it all.
+    """A digest that distinguishes a file from a changed one without reading it all.
 
-    Path, size, time of modification, inode and time of change: the last two tell a file whose old time was restored.
+    Path, size, time of modification, inode and time of change: the last two reveal a file whose old time was restored.
     """
     try:
         status = os.stat(path)
@@ -570,7 +573,8 @@ _SAMPLES, _SAMPLE_BYTES = 16, 1 << 16
 
 def file_sample(path: str) -> str:
     """A hash of a file's size and of sixteen evenly spread parts of 64 KiB: it stays where a file is copied or moved,
-    and tells another one under the same name; whole images would take seconds each. "" for what cannot be read."""
+    and distinguishes it from another one under the same name; whole images would take seconds each. "" for what cannot
+    be read."""
     try:
         with open(path, "rb") as stream:
             size = os.fstat(stream.fileno()).st_size

@@ -161,7 +161,7 @@ def test_a_scheduler_that_dies_ends_the_run_in_a_sentence(start_cluster, on):
     (
         ("tcp://127.0.0.1:1", "No Dask scheduler answers at 'tcp://127.0.0.1:1'"),
         ("nonsense", "CLUSTER 'nonsense' is neither a file nor an address"),
-        ("tls://127.0.0.1:1", "The cluster at 'tls://127.0.0.1:1' wants TLS: give the scheduler file"),
+        ("tls://127.0.0.1:1", "The cluster at 'tls://127.0.0.1:1' requires encryption (TLS): give the scheduler file"),
         ("foo://x", "No Dask scheduler answers at 'foo://x'"),
         ("empty.json", "No Dask scheduler answers at '.*empty.json' .it holds no address"),
     ),
