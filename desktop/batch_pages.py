@@ -17,7 +17,7 @@ def allow_missing_times() -> None:
 
     add = resultsList.addResult
     if inspect.signature(add).parameters["timestamp"].default is not inspect.Parameter.empty:
-        return  # by us, or by a QGIS that has mended it
+        return  # by us, or by a QGIS that has fixed it
 
     def with_time(icon: Any, name: str, timestamp: Any = None, result: Any = None) -> None:
         add(icon, name, timestamp or time.localtime(), result)

@@ -1,6 +1,6 @@
 """The dock "Measure control points": a point on the map or in a table, and the same point in each image.
 
-What is computed is the engine's (:mod:`repm_qgis.pointing.gcp_measuring`), and light enough for QGIS's own process.
+The computation is the engine's (:mod:`repm_qgis.pointing.gcp_measuring`), and light enough for QGIS's own process.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _FOLDER = "repm/control_points_folder"
 
 
 class _ViewPanel(QWidget):
-    """One image with its name, what the click says, and its buttons."""
+    """One image with its name, the result of the click, and its buttons."""
 
     def __init__(self, view: Any, dock: ControlPointsDock) -> None:
         super().__init__()
@@ -62,7 +62,7 @@ class _ViewPanel(QWidget):
         self.said, title = QLabel(), QLabel(f"<b>{view.name}</b>")
         skip, remove = QPushButton(self.tr("Not visible")), QPushButton(self.tr("Delete"))
         skip.setToolTip(self.tr("This image does not show the point (key S)."))
-        remove.setToolTip(self.tr("Take the mark away (key Delete)."))
+        remove.setToolTip(self.tr("Remove the mark (key Delete)."))
         row = QHBoxLayout()
         row.addWidget(title, 1)
         row.addWidget(skip)
@@ -76,8 +76,8 @@ class _ViewPanel(QWidget):
         self.image.setToolTip(
             self.tr(
                 "Click: mark the point. Wheel, + and −: zoom. Drag: move the image. Arrow keys: move the mark by 0.1 "
-                "px, with Shift by 1 px. Enter: the point is where it is predicted (yellow ring). Delete: take the "
-                "mark away. S: not visible here. Home: back to the point."
+                "px, with Shift by 1 px. Enter: the point is where it is predicted (yellow ring). Delete: remove the "
+                "mark. S: not visible here. Home: back to the point."
             )
         )
         self.image.clicked.connect(lambda col, row: dock.measure(self.name, np.array([col, row])))
@@ -141,7 +141,8 @@ class ControlPointsDock(QgsDockWidget):
         self.datum.addItems([self.tr("WGS 84 ellipsoid"), "EGM96", "EGM2008"])
         self.datum.setToolTip(
             self.tr(
-                "What the heights of a table refer to when it is loaded: the ellipsoid, EGM96, EGM2008, or a vertical "
+                "The vertical datum of a table's heights when it is loaded: the ellipsoid, EGM96, EGM2008, or a "
+                "vertical "
                 "CRS such as EPSG:5773. They are saved above the ellipsoid: leave GCP_DATUM empty then."
             )
         )
@@ -206,7 +207,7 @@ class ControlPointsDock(QgsDockWidget):
     # --- what comes in ---
 
     def open_images(self, paths: list[str]) -> bool:
-        """Show these images, or those of a scene; says in the dock what is wrong with them."""
+        """Show these images, or those of a scene; errors are shown in the dock."""
         from ..repm_qgis.scene import Scene, load_views
 
         scene = next((path for path in paths if path.lower().endswith(".json")), "")

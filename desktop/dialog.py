@@ -1,4 +1,5 @@
-"""An algorithm's dialog: Processing's own, with lists to choose from, and without what does not matter at the moment.
+"""An algorithm's dialog: Processing's own, with lists to choose from, and without parameters that have no effect at the
+moment.
 
 The widgets stay QGIS's: the graphical modeler and the batch dialog need them as they are, and do not load this module.
 """
@@ -38,7 +39,7 @@ from ..repm_qgis.contracts.options import PRESETS
 from .next_step import STEPS, push_message
 
 _OF_SETTINGS = (*settings.COLMAP, "CLUSTER")  # the options page has these, for all runs
-_LEAST_GROUPS = 3  # headings that are worth their place
+_LEAST_GROUPS = 3  # at least so many parameters below a heading
 
 
 class Dialog(AlgorithmDialog):
@@ -50,7 +51,7 @@ class Dialog(AlgorithmDialog):
     _given: Mapping[str, Any] = {}  # of the last run
     _in_use: set[Dialog] = set()
     """Dialogs that are shown or run something. Python 3.14 forgets one that nobody else refers to, such as one of
-    ``processing.createAlgorithmDialog``; the run then works with what is no longer there, and QGIS crashes."""
+    ``processing.createAlgorithmDialog``; the run then uses objects that no longer exist, and QGIS crashes."""
 
     def showEvent(self, event: Any) -> None:
         self._in_use.add(self)
@@ -89,7 +90,7 @@ class Dialog(AlgorithmDialog):
 
 
 class Panel(ParametersPanel):
-    """Processing's panel of parameters; what it adds depends on which parameters there are."""
+    """Processing's panel of parameters; its additions depend on the parameters of the algorithm."""
 
     def initWidgets(self) -> None:
         super().initWidgets()
@@ -128,7 +129,7 @@ class Panel(ParametersPanel):
         return [QgsVectorLayer(file, "", "none") if is_dropped(file) else file for file in files]
 
     def _narrow(self) -> None:
-        """See that no text makes the panel wider than QGIS opens it: its buttons would lie outside."""
+        """Keep texts from making the panel wider than QGIS opens it: its buttons would lie outside."""
         for wrapper in self.wrappers.values():
             label = getattr(wrapper, "wrappedLabel", lambda: None)()
             if isinstance(label, QLabel):
@@ -148,7 +149,7 @@ class Panel(ParametersPanel):
                         box.setItemText(index, words.shown(definition.name(), value))
 
     def _hint(self) -> None:
-        """Say in the place of an empty line or a zero what it means."""
+        """Show what an empty line or a zero means, in its place."""
         for name, text in words.hints().items():
             widget = self.wrappers[name].wrappedWidget() if name in self.wrappers else None
             if isinstance(widget, QLineEdit):
@@ -241,7 +242,7 @@ class Panel(ParametersPanel):
             self._set("SCENE", scene)
 
     def _together(self, names: Sequence[str]) -> QWidget:
-        """Move parameters that follow each other into a widget, to show and hide them together.
+        """Move consecutive parameters into a widget, to show and hide them together.
 
         It lies in another one: the group of the advanced parameters shows all that lies in it when it is opened.
         """
@@ -274,7 +275,7 @@ class Panel(ParametersPanel):
 
 
 def _reference_datums() -> list[tuple[str, str]]:
-    """What references may say for themselves, or else these datums."""
+    """The entry for datums that references state themselves, then the known datums."""
     (_, ellipsoid), *others = _datums()
     return [("auto", words.automatic_datum()), ("ellipsoid", ellipsoid), *others]
 

@@ -92,7 +92,7 @@ class DrawingTool(QgsMapTool):
         self.drawn.emit(QgsGeometry.fromPolylineXY(distinct))
 
     def _show(self, ahead: Optional[QgsPointXY] = None) -> None:
-        """Draw what is there on the map, and the way to the mouse."""
+        """Draw the shape so far on the map, and the line to the mouse."""
         self._clear_band()
         points = [*self._points, *([ahead] if ahead is not None and self._points else [])]
         if not points:

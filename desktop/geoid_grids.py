@@ -100,14 +100,14 @@ class GeoidGridsDialog(QDialog):
         super().showEvent(event)
 
     def refresh(self) -> None:
-        """Say of each grid whether it is there."""
+        """Show for each grid whether it is installed."""
         for name, button in self.buttons.items():
             there = is_there(name)
             button.setText(_tr("Installed") if there else _tr("Fetch"))
             button.setEnabled(not there and self._loading is None)
 
     def fetch(self, name: str) -> None:
-        """Fetch a grid in the background; it takes its name when it is whole."""
+        """Fetch a grid in the background; it gets its name when it is complete."""
         part = os.path.join(user_folder(), f".{name}.part")
         self._loading = QgsFileDownloader(address(name), part)
         self._loading.setParent(self)  # it deletes itself when it has ended: Python must not do so too

@@ -2,8 +2,8 @@
 
 A raster layer of QGIS has one renderer: colours or a hillshade. So the hillshade is a second layer, but one that only
 the tree of layers and the map know, as a private one: it is no layer of the project. No list of layers names it,
-Identify does not ask it, and a project's file does not hold it. What is stored is a property of the DSM's node, and of
-that the hillshade is made again when the project is opened. Without the plugin the DSM has its colours alone.
+Identify ignores it, and a project's file does not contain it. Only a property of the DSM's node is stored, and the
+hillshade is made again from it when the project is opened. Without the plugin the DSM has its colours alone.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class Hillshades:
 
     def stop(self) -> None:
         _disconnect(self._connections)
-        self._connections = []  # they hold us, and we hold the project, which would outlive QGIS
+        self._connections = []  # they keep references to us, and we to the project, which would outlive QGIS
         self._soon.stop()
         if self._action is not None:
             self._iface.removeCustomActionForLayerType(self._action)
@@ -114,7 +114,7 @@ class Hillshades:
         self._join_themes()
         self._join_layouts()
         self._offer()
-        self._project.setDirty(changed)  # what is not stored is no change
+        self._project.setDirty(changed)  # a layer that is not stored is no change of the project
 
     def _place(self, dsm: QgsLayerTreeLayer) -> None:
         layer = dsm.layer()
@@ -194,7 +194,7 @@ class Hillshades:
         shade.triggerRepaint()
 
     def _reload(self, layer_id: str) -> None:
-        """The same file has another content after an edit; and its older one must be let go of, for Windows."""
+        """The same file has another content after an edit; and Windows needs the older one to be closed."""
         layer, shade = self._project.mapLayer(layer_id), self._shades.get(layer_id)
         if layer is not None and shade is not None:
             shade.setDataSource(layer.source(), shade.name(), layer.providerType(), False)
@@ -248,7 +248,8 @@ class Hillshades:
             self._action.setChecked(node is not None and _wanted(node))
 
     def _leave_out(self, document: QDomDocument) -> None:
-        """Take hillshades out of a project's file: a QGIS without the plugin would look for layers that are none."""
+        """Take hillshades out of a project's file: a QGIS without the plugin would look for layers that do not
+        exist."""
         ids = {shade.id() for shade in self._shades.values()}
         nodes, items = (_elements(document, tag) for tag in ("layer-tree-layer", "item"))  # of the tree, of an order
         gone = [node for node in nodes if node.attribute("id") in ids]

@@ -77,7 +77,7 @@ class ImageView(QWidget):
         self.update()
 
     def zoom(self, steps: int, around: Optional[QPointF] = None) -> None:
-        """Zoom in (out where ``steps`` is negative), with what is under a place of the screen staying there."""
+        """Zoom in (out where ``steps`` is negative), keeping the pixel under a place of the screen there."""
         self._whole = False
         place = around or QPointF(self.width() / 2, self.height() / 2)
         before = self.pixel_at(place)

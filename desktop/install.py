@@ -1,4 +1,4 @@
-"""The dialog that installs the engine's packages: what, from where, how large, progress, cancel, log."""
+"""The dialog that installs the engine's packages: packages, source, size, progress, cancel, log."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def offer_once(iface: Any, install: Callable[[], Any]) -> Any:
 
 
 class _Feedback(QgsProcessingFeedback):
-    """What the engine's process says, as signals: it is heard in a thread of its own."""
+    """The messages of the engine's process as signals: they are read in a separate thread."""
 
     said = pyqtSignal(str)
     doing = pyqtSignal(str)
@@ -175,7 +175,7 @@ class InstallDialog(QDialog):
         super().showEvent(event)
 
     def _plan(self) -> None:
-        """Say what an installation would take, as the fields are now."""
+        """Show the size of an installation, as the fields are now."""
         self.intro.setText(
             {
                 installation.FINE: _tr("The engine has all packages that it needs. Nothing has to be done."),
@@ -220,7 +220,7 @@ class InstallDialog(QDialog):
         fine = installation.state() == installation.FINE
         self.install.setEnabled(possible and not running)
         self.install.setDefault(not fine)
-        self.close_button.setDefault(fine)  # who presses Enter now wants to go on
+        self.close_button.setDefault(fine)  # Enter should continue now
         self.cancel.setEnabled(running)
         self.remove.setEnabled(not running and bool(installation.folders()))
         self.open_log.setEnabled(os.path.exists(installation.log_path()))
@@ -244,7 +244,7 @@ class InstallDialog(QDialog):
         self.log.appendPlainText(text)
 
     def close_down(self) -> None:
-        """The plugin is unloaded: an installation that runs is cancelled, and says nothing to this dialog any more."""
+        """The plugin is unloaded: a running installation is cancelled, and sends nothing to this dialog any more."""
         if self._task is not None:
             self._task.forget()
             self._task.cancel()

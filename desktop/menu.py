@@ -54,7 +54,7 @@ class PluginMenu:
         QTimer.singleShot(0, self._begin)
 
     def _begin(self) -> None:
-        if self._actions:  # else the plugin was unloaded meanwhile
+        if self._actions:  # otherwise the plugin was unloaded meanwhile
             show_once(self.first_steps)
             self._offer = offer_once(self._iface, self.install)
 
@@ -140,7 +140,7 @@ class PluginMenu:
         self._installer.raise_()
 
     def _packages_changed(self) -> None:
-        """What the offer and the panel say may hold no longer."""
+        """The texts of the offer and the panel may be out of date."""
         if self._offer is not None and installation.state() == installation.FINE:
             self._iface.messageBar().popWidget(self._offer)
             self._offer = None

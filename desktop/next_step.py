@@ -1,7 +1,7 @@
-"""What comes after a run: a message with a button for the next step, whose dialog is filled in.
+"""After a run: a message with a button for the next step, whose dialog is filled in.
 
 The path is *inspect, run, compare, register, run again, compare again, edit*: from the first DSM to one in the right
-place, without what is wrong in it.
+place, with its errors edited.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class NextSteps:
             self._fused = {name: given[name] for name in _fusion_inputs() if not is_empty(given.get(name))}
         self._iface = iface
         text, buttons, views = getattr(self, f"_after_{algorithm}")(named, results)
-        if text:  # one message at a time: the step before is done
+        if text:  # one message at a time: the step before is finished
             self.forget()
             self._bar, self._shown = iface.messageBar(), push_message(iface.messageBar(), text, [*views, *buttons])
         return text, buttons
@@ -167,7 +167,7 @@ class NextSteps:
         processing.createAlgorithmDialog(f"repm:{algorithm}", dict(given)).show()
 
     def forget(self) -> None:
-        """Take the message away."""
+        """Remove the message."""
         if self._bar is not None and self._shown in self._bar.items():
             self._bar.popWidget(self._shown)
         self._shown = None

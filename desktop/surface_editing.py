@@ -1,7 +1,7 @@
 """The dock "Edit a DSM": shapes that are drawn on the map become records beside the DSM, which is made again of them.
 
-What edits do to heights is the engine's (:mod:`repm_qgis.editing`); the algorithm repm:editdsm applies them here as it
-does headless.
+The effect of edits on heights is the engine's (:mod:`repm_qgis.editing`); the algorithm repm:editdsm applies them here
+as it does headless.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _BREAKLINE = "breakline"
 
 
 class _Feedback(QgsProcessingFeedback):
-    """Keeps what went wrong, and what the run noted."""
+    """Keeps the errors and notes of a run."""
 
     def __init__(self) -> None:
         super().__init__(False)

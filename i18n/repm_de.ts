@@ -154,7 +154,7 @@
         <translation>Referenz (DOM oder Punktwolke)</translation>
     </message>
     <message>
-        <source>A raster of heights in metres that are taken as right, such as one from lidar; or a point cloud (LAZ, LAS), whose first returns become means on the DSM's cells.</source>
+        <source>A raster of heights in metres that are assumed to be right, such as one from lidar; or a point cloud (LAZ, LAS), whose first returns become means on the DSM's cells.</source>
         <translation>Ein Raster von Höhen in Metern, die als richtig gelten, etwa aus Lidar; oder eine Punktwolke (LAZ, LAS), deren erste Echos auf den Zellen des DOM gemittelt werden.</translation>
     </message>
     <message>
@@ -253,8 +253,8 @@
         <translation>WGS-84-Ellipsoid</translation>
     </message>
     <message>
-        <source>What the heights of a table refer to when it is loaded: the ellipsoid, EGM96, EGM2008, or a vertical CRS such as EPSG:5773. They are saved above the ellipsoid: leave GCP_DATUM empty then.</source>
-        <translation>Worauf sich die Höhen einer Tabelle beziehen, wenn sie geladen wird: das Ellipsoid, EGM96, EGM2008 oder ein Höhensystem wie EPSG:5773. Gespeichert werden sie über dem Ellipsoid: GCP_DATUM bleibt dann leer.</translation>
+        <source>The vertical datum of a table's heights when it is loaded: the ellipsoid, EGM96, EGM2008, or a vertical CRS such as EPSG:5773. They are saved above the ellipsoid: leave GCP_DATUM empty then.</source>
+        <translation>Der Höhenbezug der Höhen einer Tabelle, wenn sie geladen wird: das Ellipsoid, EGM96, EGM2008 oder ein Höhensystem wie EPSG:5773. Gespeichert werden sie über dem Ellipsoid: GCP_DATUM bleibt dann leer.</translation>
     </message>
     <message>
         <source>Where a new point takes its height from; empty: you are asked for it.</source>
@@ -375,8 +375,8 @@
         <translation>Gelände unter Häusern und Bäumen finden (DGM)</translation>
     </message>
     <message>
-        <source>Bare earth from a DSM, with the heights of what stands on it and a mask of objects.</source>
-        <translation>Der nackte Boden aus einem DOM, mit den Höhen dessen, was darauf steht, und einer Maske der Objekte.</translation>
+        <source>Bare earth from a DSM, with the heights of objects on it and a mask of objects.</source>
+        <translation>Nackter Boden aus einem DOM, mit den Höhen der Objekte darauf und einer Maske der Objekte.</translation>
     </message>
     <message>
         <source>Scene (instead of the DSM)</source>
@@ -407,16 +407,16 @@
         <translation>Größtes Objekt (m)</translation>
     </message>
     <message>
-        <source>The width of the widest building, across its narrower side: what is wider is taken as ground. A smaller value takes less time.</source>
-        <translation>Die Breite des breitesten Gebäudes, über seine schmalere Seite: Was breiter ist, gilt als Boden. Ein kleinerer Wert kostet weniger Zeit.</translation>
+        <source>The width of the widest building, across its narrower side: wider objects count as ground. A smaller value takes less time.</source>
+        <translation>Die Breite des breitesten Gebäudes, über seine schmalere Seite: Breitere Objekte gelten als Boden. Ein kleinerer Wert kostet weniger Zeit.</translation>
     </message>
     <message>
         <source>Steepest ground (%)</source>
         <translation>Steilster Boden (%)</translation>
     </message>
     <message>
-        <source>What is steeper around something is its wall. Choose more where hill tops are gone, such as 100 in mountains, and less where low buildings stay in the terrain.</source>
-        <translation>Was um etwas herum steiler ist, ist seine Wand. Mehr wählen, wo Hügelkuppen fehlen, etwa 100 im Gebirge, und weniger, wo niedrige Gebäude im Gelände stehen bleiben.</translation>
+        <source>An object has walls steeper than this around it. Choose more where hill tops are gone, such as 100 in mountains, and less where low buildings stay in the terrain.</source>
+        <translation>Ein Objekt hat Wände um sich, die steiler sind als dieser Wert. Mehr wählen, wo Hügelkuppen fehlen, etwa 100 im Gebirge, und weniger, wo niedrige Gebäude im Gelände stehen bleiben.</translation>
     </message>
     <message>
         <source>Terrain where the DSM has no height</source>
@@ -800,8 +800,8 @@
         <translation>Mosaik aus DOM erzeugen</translation>
     </message>
     <message>
-        <source>One DSM from many that overlap: their vertical offsets are removed, and no seam is seen.</source>
-        <translation>Ein DOM aus vielen, die sich überlappen: ihre Höhenversätze werden entfernt, und keine Naht ist zu sehen.</translation>
+        <source>One DSM from many that overlap: without vertical offsets between them, and without visible seams.</source>
+        <translation>Ein DOM aus vielen, die sich überlappen: ohne Höhenversätze zwischen ihnen und ohne sichtbare Nähte.</translation>
     </message>
     <message>
         <source>DSMs</source>
@@ -824,8 +824,8 @@
         <translation>DOM oder Szenen, deren Höhen richtig sind</translation>
     </message>
     <message>
-        <source>Their heights stay, and all others are brought to them. Scenes that were registered, or have ground control points, and DSMs of such scenes are among them by themselves. Where there is none, the mean of all offsets is zero.</source>
-        <translation>Ihre Höhen bleiben, und alle anderen werden an sie angeglichen. Szenen, die eingepasst wurden oder Passpunkte haben, und DOM solcher Szenen gehören von selbst dazu. Ohne solche ist das Mittel aller Versätze null.</translation>
+        <source>Their heights stay, and all others are brought to them. Scenes that were registered, or have ground control points, and DSMs of such scenes are included automatically. Where there is none, the mean of all offsets is zero.</source>
+        <translation>Ihre Höhen bleiben, und alle anderen werden an sie angeglichen. Szenen, die eingepasst wurden oder Passpunkte haben, und DOM solcher Szenen sind automatisch dabei. Ohne solche ist das Mittel aller Versätze null.</translation>
     </message>
     <message>
         <source>Resolution (m)</source>
@@ -1440,7 +1440,7 @@
         <translation>Voreinstellung</translation>
     </message>
     <message>
-        <source>Values that go together, for advanced parameters below; the dialog fills them in, and you can change each of them afterwards. city: walls and streets; mountains: a surface without holes; fast: a first look. In a command, a value that you give goes before the preset's.</source>
+        <source>Values that go together, for advanced parameters below; the dialog fills them in, and you can change each of them afterwards. city: walls and streets; mountains: a surface without holes; fast: a first look. In a command, a value that you give overrides the preset's.</source>
         <translation>Werte, die zusammengehören, für erweiterte Parameter weiter unten; der Dialog trägt sie ein, und jeder kann danach geändert werden. city: Wände und Straßen; mountains: eine Oberfläche ohne Lücken; fast: ein erster Blick. In einem Befehl geht ein angegebener Wert dem der Voreinstellung vor.</translation>
     </message>
     <message>
@@ -1480,8 +1480,8 @@
         <translation>Höhe der Bilder „ortho-ready“ (m)</translation>
     </message>
     <message>
-        <source>The height above the WGS 84 ellipsoid to which ortho-ready images were projected (Maxar OR2A, Airbus projected, GF and ZY 2A), where their metadata do not state it. Empty: a DEM tells it, or else the middle of the RPC's heights is assumed, and the log says so. Images in sensor geometry do not need it.</source>
-        <translation>Die Höhe über dem Ellipsoid WGS 84, auf die Bilder „ortho-ready“ projiziert wurden (Maxar OR2A, Airbus projected, GF und ZY 2A), wenn ihre Metadaten sie nicht nennen. Leer: Ein DGM ergibt sie, sonst wird die Mitte der Höhen des RPC angenommen, und das Protokoll sagt es. Bilder in Sensorgeometrie brauchen sie nicht.</translation>
+        <source>The height above the WGS 84 ellipsoid to which ortho-ready images were projected (Maxar OR2A, Airbus projected, GF and ZY 2A), where their metadata do not state it. Empty: it is found with a DEM, or else the middle of the RPC's heights is assumed, and the log says so. Images in sensor geometry do not need it.</source>
+        <translation>Die Höhe über dem Ellipsoid WGS 84, auf die Bilder „ortho-ready“ projiziert wurden (Maxar OR2A, Airbus projected, GF und ZY 2A), wenn ihre Metadaten sie nicht nennen. Leer: Sie wird mit einem DEM gefunden, sonst wird die Mitte der Höhen des RPC angenommen, und das Protokoll sagt es. Bilder in Sensorgeometrie brauchen sie nicht.</translation>
     </message>
     <message>
         <source>Tile size (px)</source>
@@ -2496,11 +2496,11 @@
         <translation>Dieses Bild zeigt den Punkt nicht (Taste S).</translation>
     </message>
     <message>
-        <source>Take the mark away (key Delete).</source>
+        <source>Remove the mark (key Delete).</source>
         <translation>Die Marke entfernen (Taste Entf).</translation>
     </message>
     <message>
-        <source>Click: mark the point. Wheel, + and −: zoom. Drag: move the image. Arrow keys: move the mark by 0.1 px, with Shift by 1 px. Enter: the point is where it is predicted (yellow ring). Delete: take the mark away. S: not visible here. Home: back to the point.</source>
+        <source>Click: mark the point. Wheel, + and −: zoom. Drag: move the image. Arrow keys: move the mark by 0.1 px, with Shift by 1 px. Enter: the point is where it is predicted (yellow ring). Delete: remove the mark. S: not visible here. Home: back to the point.</source>
         <translation>Klick: den Punkt markieren. Rad, + und −: zoomen. Ziehen: das Bild verschieben. Pfeiltasten: die Marke um 0,1 px verschieben, mit Umschalt um 1 px. Eingabe: der Punkt liegt am vorhergesagten Ort (gelber Ring). Entf: die Marke entfernen. S: hier nicht sichtbar. Pos1: zurück zum Punkt.</translation>
     </message>
 </context>

@@ -1,4 +1,4 @@
-"""What all our algorithms share: identity, help, early checks, running a stage, and dressing its results.
+"""The base of all our algorithms: identity, help, early checks, running a stage, and styling its results.
 
 An algorithm's parameters carry the names of the stage's options in upper case (repm_qgis/contracts/options.py), so a
 subclass only declares itself: it reads nothing and computes nothing.
@@ -221,7 +221,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         return ""
 
     def _check_backend(self, definition: QgsProcessingParameterDefinition, value: object) -> str:
-        """Whether a backend that is asked for by name can run: only the engine's interpreter knows."""
+        """Whether a backend that was chosen by name can run: only the engine's interpreter can answer."""
         remedy = "" if is_empty(value) or value == definition.defaultValue() else engine.backend_remedy(str(value))
         if not remedy:
             return ""
@@ -253,7 +253,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
     def _check_raster(
         self, definition: QgsProcessingParameterDefinition, value: object, context: QgsProcessingContext
     ) -> str:
-        """Files must be there, and be rasters where nothing else is taken; the engine names what is wrong in others."""
+        """Files must be there, and be rasters where nothing else is taken; the engine reports errors of others."""
         from ..repm_qgis.contracts.file_kinds import is_cloud
         from ..repm_qgis.files.vector import file_and_layer
 
@@ -274,7 +274,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         self, parameters: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
     ) -> bool:
         known = [definition.name() for definition in self.parameterDefinitions()]
-        for name in parameters:  # a slip in a command is passed over by QGIS in silence
+        for name in parameters:  # QGIS silently ignores a misspelt name in a command
             near = difflib.get_close_matches(name.upper(), known, 1)
             if name not in known and near:
                 feedback.pushWarning(
@@ -365,7 +365,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             return run(self.ID, options, feedback)
 
     def _scene_name(self, options: Mapping[str, Any]) -> str:
-        """The scene that a run is of, "" where its files and folders say nothing of it."""
+        """The scene that a run belongs to, "" where its files and folders do not name it."""
         from ..repm_qgis import names
 
         if options.get("scene"):

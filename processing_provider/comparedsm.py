@@ -54,7 +54,8 @@ class CompareDsm(RepmAlgorithm):
                 "REFERENCE",
                 self.tr("Reference (DSM or point cloud)"),
                 self.tr(
-                    "A raster of heights in metres that are taken as right, such as one from lidar; or a point cloud "
+                    "A raster of heights in metres that are assumed to be right, such as one from lidar; or a point "
+                    "cloud "
                     "(LAZ, LAS), whose first returns become means on the DSM's cells."
                 ),
             ),

@@ -25,7 +25,7 @@ class Dtm(RepmAlgorithm):
         return self.tr("Find the terrain below houses and trees (DTM)")
 
     def shortDescription(self) -> str:
-        return self.tr("Bare earth from a DSM, with the heights of what stands on it and a mask of objects.")
+        return self.tr("Bare earth from a DSM, with the heights of objects on it and a mask of objects.")
 
     def parameters(self) -> list:
         scene = QgsProcessingParameterFile(
@@ -56,7 +56,7 @@ class Dtm(RepmAlgorithm):
                 "largest",
                 self.tr("Largest object (m)"),
                 self.tr(
-                    "The width of the widest building, across its narrower side: what is wider is taken as ground. A "
+                    "The width of the widest building, across its narrower side: wider objects count as ground. A "
                     "smaller value takes less time."
                 ),
             ),
@@ -65,7 +65,8 @@ class Dtm(RepmAlgorithm):
                 "slope",
                 self.tr("Steepest ground (%)"),
                 self.tr(
-                    "What is steeper around something is its wall. Choose more where hill tops are gone, such as 100 "
+                    "An object has walls steeper than this around it. Choose more where hill tops are gone, such as "
+                    "100 "
                     "in mountains, and less where low buildings stay in the terrain."
                 ),
             ),

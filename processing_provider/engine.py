@@ -66,7 +66,7 @@ class FeedbackProgress:
 
 
 def is_cancelled(feedback: QgsProcessingFeedback) -> bool:
-    """Whether the user has cancelled; qgis_process hears of Ctrl-C in its event loop, which only we can run now."""
+    """Whether the user has cancelled; qgis_process notices Ctrl-C in its event loop, which only we can run now."""
     if _in_qgis_process():
         QCoreApplication.processEvents()
     return feedback.isCanceled()
@@ -123,7 +123,7 @@ def in_python_thread(call: Callable[[], _Result]) -> _Result:
     def run() -> None:
         try:
             made.append(call())
-        except BaseException as error:  # whatever it is, it belongs to the caller
+        except BaseException as error:  # any exception is passed to the caller
             failed.append(error)
 
     thread = threading.Thread(target=run)
@@ -147,7 +147,7 @@ def run_here(stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeed
     except RepmError as error:
         raise _failure(str(error)) from None
     except ImportError as error:
-        if "repm_qgis" in (error.name or ""):  # a part of the engine itself: a bug, or half a plugin
+        if "repm_qgis" in (error.name or ""):  # a part of the engine itself: a bug, or an incomplete plugin
             raise
         debian = next((each.debian for each in PACKAGES if each.module == error.name and each.debian), "")
         apt = f" (on Debian and Ubuntu with 'sudo apt install {debian}')" if debian else ""
@@ -200,7 +200,8 @@ def find_python() -> str:
 
 
 def backend_remedy(name: str) -> str:
-    """What to do to make a backend run; "" where it can, or where the engine cannot be asked (it will say itself)."""
+    """What to do to make a backend run; "" where it can, or where the engine does not start (it will report this
+    itself)."""
     from ..repm_qgis.matching.backends import NEED_A_DEVICE
 
     if name not in NEED_A_DEVICE:
@@ -253,7 +254,7 @@ def own_programs() -> list[str]:
 
 
 def environment(python: str) -> dict[str, str]:
-    """The engine's environment: this plugin's folder on PYTHONPATH, nothing that is meant for another Python."""
+    """The engine's environment: this plugin's folder on PYTHONPATH, no variables that are meant for another Python."""
     values = variables(python)
     values.update(PYTHONPATH=PLUGIN_FOLDER, PYTHONUNBUFFERED="1", PYTHONIOENCODING="utf-8", **{WATCH_VARIABLE: "1"})
     # Distributions' pyproj looks for its data below the interpreter's prefix, which in a venv is the venv.
@@ -299,12 +300,12 @@ class _EngineProcess:
         ]
 
     def _tell(self, line: str) -> None:
-        """Give the process its job, or a later word, and leave the pipe open: that it closes says that QGIS is gone."""
+        """Give the process its job, or a later line, and leave the pipe open: its closing means that QGIS is gone."""
 
         pipe: Any = self._process.stdin
 
         def write() -> None:
-            with suppress(OSError, ValueError):  # it has ended, and its output says why
+            with suppress(OSError, ValueError):  # it has ended, and its output gives the reason
                 pipe.write(f"{line}\n".encode())
                 pipe.flush()
 
@@ -420,7 +421,7 @@ class _EngineProcess:
         for thread in self._readers:
             thread.join(0.5)
         if self._process.stdin is not None:
-            with suppress(OSError):  # what was not read of the job
+            with suppress(OSError):  # the part of the job that was not read
                 self._process.stdin.close()
 
     def _end_group(self, running: bool) -> None:
@@ -428,7 +429,7 @@ class _EngineProcess:
             end = time.monotonic() + _GRACE_S
             while time.monotonic() < end and self._process.poll() is None:
                 time.sleep(0.02)
-        self._signal(signal.SIGKILL)  # what is left of the group, workers of a crashed parent too
+        self._signal(signal.SIGKILL)  # the rest of the group, workers of a crashed parent too
         self._process.wait()
 
     def _signal(self, number: int) -> bool:

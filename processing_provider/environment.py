@@ -13,7 +13,7 @@ from .base import RepmAlgorithm
 
 
 class Environment(RepmAlgorithm):
-    """Reports what is installed for the engine, and what is missing; installs or removes it where asked to."""
+    """Reports what is installed for the engine, and what is missing; installs or removes it on request."""
 
     ID = "environment"
     GROUP = "tools"

@@ -1,4 +1,4 @@
-"""The engine's own environment as QGIS sees it: whether one is needed, what it takes, making and removing it."""
+"""The engine's own environment as QGIS sees it: whether one is needed, its size, making and removing it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _STAGE = "environment"
 def state() -> str:
     """FINE where the engine can run; MISSING where packages are; EARLIER where they are those of another version.
 
-    Cheap: nothing is started or imported. An interpreter that the user chose is the user's business.
+    Cheap: nothing is started or imported. An interpreter that the user chose is not checked.
     """
     if settings.engine_python():
         return FINE
@@ -54,7 +54,7 @@ def _own_python() -> Interpreter:
 
 
 def plan(wheels: str = "", proxy_address: str = "") -> environments.Plan:
-    """What an installation would take; raises QgsProcessingException. Asks QGIS's Python, which takes a second."""
+    """The plan of an installation; raises QgsProcessingException. It starts QGIS's Python, which takes a second."""
     try:
         python = _own_python()
         folder = environments.folder_for(engine.homes()[0], python.program)
@@ -77,7 +77,7 @@ def log_path() -> str:
 
 
 def requirements_hash() -> str:
-    """What distinguishes the packages that this version of the plugin asks for from those of others."""
+    """A digest of the packages that this version of the plugin requires."""
     return environments.hash_of(requirements_of([REQUIREMENTS], engine.plugin_folder()))
 
 
@@ -95,7 +95,7 @@ def remove(feedback: QgsProcessingFeedback) -> None:
 
 
 def run(options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> None:
-    """What the options INSTALL, REMOVE and WHEELS of repm:environment ask for."""
+    """Do what the options INSTALL, REMOVE and WHEELS of repm:environment request."""
     if options.get("remove"):
         remove(feedback)
     if options.get("install"):

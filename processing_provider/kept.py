@@ -1,6 +1,5 @@
-"""Products that nobody gave a name: a workspace of the user's own keeps them, instead of QGIS's temporary folder.
-
-So all that a run loads is there when the project is opened again.
+"""Products without a name from the user: the user's own workspace keeps them, instead of QGIS's temporary folder. So
+all layers of a run still exist when the project is opened again.
 """
 
 from __future__ import annotations

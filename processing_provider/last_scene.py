@@ -1,4 +1,4 @@
-"""The scenes that were written last, of which a stage's dialog takes up the newest one that it can work on."""
+"""The scenes that were written last, of which a stage's dialog proposes the newest one that it can use."""
 
 from __future__ import annotations
 

@@ -29,7 +29,9 @@ class Mosaic(RepmAlgorithm):
         return self.tr("Make a mosaic of DSMs")
 
     def shortDescription(self) -> str:
-        return self.tr("One DSM from many that overlap: their vertical offsets are removed, and no seam is seen.")
+        return self.tr(
+            "One DSM from many that overlap: without vertical offsets between them, and without visible seams."
+        )
 
     def parameters(self) -> list:
         rasters = QgsProcessing.SourceType.TypeRaster
@@ -54,7 +56,7 @@ class Mosaic(RepmAlgorithm):
                 parameters.Rasters("FIXED", self.tr("DSMs or scenes whose heights are right"), rasters, optional=True),
                 self.tr(
                     "Their heights stay, and all others are brought to them. Scenes that were registered, or have "
-                    "ground control points, and DSMs of such scenes are among them by themselves. Where there is none, "
+                    "ground control points, and DSMs of such scenes are included automatically. Where there is none, "
                     "the mean of all offsets is zero."
                 ),
             ),

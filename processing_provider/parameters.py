@@ -83,7 +83,7 @@ def number(
         limits.high,
     )
     if not limits.whole:
-        parameter.setMetadata({"widget_wrapper": {"decimals": 3}})  # QGIS's own six are more than anybody sets here
+        parameter.setMetadata({"widget_wrapper": {"decimals": 3}})  # QGIS shows six by default, more than needed here
     return helped(parameter, text)
 
 
@@ -103,7 +103,7 @@ class Images(QgsProcessingParameterMultipleLayers):
     """Rasters that QGIS does not open to check them.
 
     Its own check loads every image as a layer: slow, it may write statistics beside the image, and its message on a
-    damaged one names no file. The engine is the better judge.
+    damaged one names no file. The engine checks them better.
     """
 
     def checkValueIsAcceptable(self, input: Any, context: Any = None) -> bool:  # noqa: A002 - QGIS's name
@@ -184,8 +184,8 @@ def surface_or_cloud(name: str, label: str, text: str) -> QgsProcessingParameter
 
 
 class Points(QgsProcessingParameterVectorLayer):
-    """A point layer or a table's file that QGIS does not open to check it: the engine reads both, and names what is
-    wrong in them."""
+    """A point layer or a table's file that QGIS does not open to check it: the engine reads both, and reports their
+    errors."""
 
     def checkValueIsAcceptable(self, input: Any, context: Any = None) -> bool:  # noqa: A002 - QGIS's name
         return super().checkValueIsAcceptable(input)
@@ -396,7 +396,7 @@ def preset() -> QgsProcessingParameterDefinition:
         tr(
             "Values that go together, for advanced parameters below; the dialog fills them in, and you can change each "
             "of them afterwards. city: walls and streets; mountains: a surface without holes; fast: a first look. In a "
-            "command, a value that you give goes before the preset's."
+            "command, a value that you give overrides the preset's."
         ),
     )
 
@@ -444,8 +444,9 @@ def ortho_ready_height() -> QgsProcessingParameterDefinition:
             tr("Height of ortho-ready images (m)"),
             tr(
                 "The height above the WGS 84 ellipsoid to which ortho-ready images were projected (Maxar OR2A, Airbus "
-                "projected, GF and ZY 2A), where their metadata do not state it. Empty: a DEM tells it, or else the "
-                "middle of the RPC's heights is assumed, and the log says so. Images in sensor geometry do not need it."
+                "projected, GF and ZY 2A), where their metadata do not state it. Empty: it is found with a DEM, or "
+                "else the middle of the RPC's heights is assumed, and the log says so. Images in sensor geometry do "
+                "not need it."
             ),
         )
     )
@@ -522,7 +523,7 @@ def backend() -> QgsProcessingParameterDefinition:
 
 
 def patch_match() -> list[QgsProcessingParameterDefinition]:
-    """What matters of the backend colmap."""
+    """The most important parameters of the backend colmap."""
     return [
         advanced(
             switch(
@@ -706,7 +707,7 @@ def product(stage: str, option: str) -> QgsProcessingParameterDefinition:
 
 
 def dsm_products() -> list[QgsProcessingParameterDefinition]:
-    """The DSM, and what may come with it."""
+    """The DSM, and the products that may come with it."""
     return [_destination(each) for each in products.products_of("dsmfuse")]
 
 

@@ -71,7 +71,8 @@ class Pipeline(RepmAlgorithm):
         ]
 
     def left_to_engine(self, parameters: Mapping[str, Any]) -> set[str]:
-        """What the preset decides: QGIS's default of a parameter that was not given must not go before it."""
+        """The parameters that the preset decides: QGIS's default of a parameter that was not given must not override
+        it."""
         preset = PRESETS.get(str(parameters.get("PRESET")), {})
         return {name for name in preset if name.upper() not in parameters}
 

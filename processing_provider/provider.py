@@ -62,14 +62,14 @@ MODEL = resource("models", "repm_stages.model3")
 
 
 class ShippedModel(QgsProcessingModelAlgorithm):
-    """The stages as a model, under a name for people: the one in its file is an id for scripts."""
+    """The stages as a model, under a readable name: the one in its file is an id for scripts."""
 
     def read(self) -> bool:
         """Read the model's file, whose labels and explanations are shown in QGIS's language."""
         document = QDomDocument()
         with open(MODEL, encoding="utf-8") as stream:
             document.setContent(stream.read())
-        # Read once: of a model that is read twice QGIS says in its log that each output is there already.
+        # Read once: for a model that is read twice QGIS logs that each output exists already.
         return bool(self.loadVariant(_in_language(QgsXmlUtils.readVariant(document.firstChildElement()))))
 
     def createCustomParametersWidget(self, parent: Any = None) -> Any:

@@ -109,7 +109,7 @@ def workers() -> int:
 
 
 def memory() -> int:
-    """What all workers may take together, MiB; 0 means a share of what is free."""
+    """The memory of all workers together, MiB; 0 means a share of the free memory."""
     return _whole(MEMORY)
 
 
@@ -119,7 +119,7 @@ def cluster() -> str:
 
 
 def of_parameter(name: str) -> Any:
-    """What the settings say of a parameter that dialogs leave to them; the option's default where they say nothing."""
+    """The settings' value of a parameter that dialogs leave to them; the option's default where they have none."""
     if name == "CLUSTER":
         return cluster()
     default = ReconstructOptions.option(name.lower()).default

@@ -135,7 +135,8 @@ class LayerStyler(QgsProcessingLayerPostProcessorInterface):
 
 
 def _without_collar(layer: QgsRasterLayer) -> None:
-    """Make what lies around an image transparent: on the map it is turned, and QGIS fills the corners with zeros."""
+    """Make the surroundings of an image transparent: on the map it is rotated, and QGIS fills the corners with
+    zeros."""
     nothing = QgsRasterRange(0, 0)
     for band in range(1, layer.bandCount() + 1):
         layer.dataProvider().setUserNoDataValue(band, [nothing])
@@ -164,7 +165,7 @@ def _as_terrain(layer: QgsRasterLayer, project: QgsProject) -> None:
 def _place(node: QgsLayerTreeLayer, kind: str, run: Run) -> QgsLayerTreeLayer:
     """Move a layer into its run's group, to its place from the top; gives its node.
 
-    What would hide a DSM, or lies on it, is switched off where there is one.
+    Layers that would hide a DSM, or lie on it, are switched off where there is one.
     """
     parent = node.parent()
     group = run.group(parent) if run.scene else parent
@@ -217,7 +218,7 @@ def sidecar(kind: str, path: str, feedback: QgsProcessingFeedback) -> str:
 
             with written_in(language()):
                 write_style(kind, path)
-        except (RepmError, ImportError) as error:  # the result is there all the same
+        except (RepmError, ImportError) as error:  # the result exists all the same
             feedback.pushWarning(said(f"'{os.path.basename(path)}' has no style: {error}"))
             return ""
     return style
@@ -234,7 +235,7 @@ def _views(kind: str, path: str, feedback: QgsProcessingFeedback) -> dict[str, s
             try:
                 with written_in(language()):
                     found[said(style.title)] = style_text(style.kind, path)
-            except RepmError as error:  # the result is there all the same
+            except RepmError as error:  # the result exists all the same
                 feedback.pushWarning(said(f"'{os.path.basename(path)}' has no style: {error}"))
     return found
 

@@ -131,7 +131,7 @@ def any_paths(value: object, context: QgsProcessingContext, only_named: bool = F
 def _paths(
     definition: QgsProcessingParameterDefinition, given: object, context: QgsProcessingContext, only_named: bool = False
 ) -> list[str]:
-    """What a parameter of several layers or files names."""
+    """The paths that a parameter of several layers or files names."""
     kind, kinds = definition.layerType(), QgsProcessing.SourceType
     if kind == kinds.TypeRaster:
         return raster_paths(given, context)
@@ -230,7 +230,7 @@ def _number(
     parameters: Mapping[str, Any],
     context: QgsProcessingContext,
 ) -> Any:
-    """A number; what is none stays as it is, for the engine to refuse."""
+    """A number; other values stay as they are, for the engine to refuse."""
     given = parameters.get(definition.name(), definition.defaultValue())
     if isinstance(given, QgsProperty):
         given = algorithm.parameterAsDouble(parameters, definition.name(), context)

@@ -81,7 +81,10 @@ def test_a_local_cluster_works_and_ends_with_all_that_it_started(tmp_path, how):
         assert {pathlib.Path(each).parents[1] for each in found} == {SCRIPT.parents[1]}
         with cluster_workers(file, (), (), Silent()):  # REPM finds the key beside the scheduler file
             assert run_tasks(abs, [-1, 2, -3], 0, Silent(), str) == [1, 2, 3]
-        with pytest.raises(ClusterError, match=r"requires encryption \(TLS\): give the scheduler file that lies beside its repm-cluster"):
+        with pytest.raises(
+            ClusterError,
+            match=r"requires encryption \(TLS\): give the scheduler file that lies beside its repm-cluster",
+        ):
             with cluster_workers(address, (), (), Silent()):
                 pytest.fail("it did not ask for the key")
         if how == "Ctrl-C":  # a terminal sends it to all
