@@ -112,7 +112,7 @@ class Panel(ParametersPanel):
         self._follow("PRESET", self._fill_in)
 
     def setParameters(self, parameters: Mapping[str, Any]) -> None:
-        """QGIS opens each file of a list as a layer, and drops those that are none, such as scenes and RPCs."""
+        """QGIS opens each file of a list as a layer, and drops those that are no layers, such as scenes and RPCs."""
         super().setParameters({name: self._kept(name, value) for name, value in parameters.items()})
 
     def _kept(self, name: str, value: Any) -> Any:
@@ -261,7 +261,7 @@ class Panel(ParametersPanel):
         return inner
 
     def _fill_in(self) -> None:
-        """Put a preset's values into their widgets, and take out those of the preset before that nobody has changed."""
+        """Put a preset's values into their widgets, and reset those of the preset before that nobody has changed."""
         before, now = PRESETS[self._preset], PRESETS[str(self._value("PRESET"))]
         self._preset = str(self._value("PRESET"))
         for name, value in before.items():

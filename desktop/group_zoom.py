@@ -34,7 +34,7 @@ class GroupZoom(QObject):
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         if event.type() == QEvent.Type.ContextMenu:
-            # QGIS 3.22 says nothing of the menu that it shows now: it is there once events are handled again.
+            # QGIS 3.22 gives no signal for the menu that it shows now: the menu exists once events are handled again.
             QTimer.singleShot(0, self._take_over)
         return False
 

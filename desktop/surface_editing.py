@@ -353,7 +353,7 @@ class SurfaceEditingDock(QgsDockWidget):
             self._make()
 
     def _put(self, temporary: str, path: str, records: Any) -> bool:
-        """Give a raster its name, and show it: layers let go of the older file first, as Windows wants it."""
+        """Give a raster its name, and show it: layers close the older file first, because Windows requires it."""
         from ..repm_qgis.runtime.workspace import take_name
 
         project = QgsProject.instance()

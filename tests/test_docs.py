@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 import repm_qgis
+from tests.english import prose_of, stoppers_in
 from tests.every_file import wrong
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
@@ -58,6 +59,23 @@ def test_pages_use_plain_words():
     banned = r"(?i)\b(?:told|forth|wants|wanted|lonely|islands?|rows left)\b"
     pages = [page for page in PAGES + HELP if not {"glossary", "benchmarks"} & {page.stem, *page.parts}]
     assert wrong(pages, lambda page: re.findall(banned, page.read_text(encoding="utf-8"))) == {}
+
+
+def test_code_and_pages_use_plain_constructions():
+    """Comments, docstrings and texts are read in a hurry too, by people whose first language is another one."""
+    code = [
+        path for folder in ("repm_qgis", "processing_provider", "desktop") for path in (ROOT / folder).rglob("*.py")
+    ]
+    assert len(code) > 250
+    assert wrong(sorted(code), lambda path: stoppers_in(prose_of(path))) == {}
+    unread = {"benchmarks", "CHANGELOG", "glossary", "guide"}
+    pages = [page for page in PAGES + HELP if not unread & {page.stem, *page.parts}]
+    assert wrong(pages, lambda page: stoppers_in(page.read_text(encoding="utf-8"))) == {}
+
+
+@pytest.mark.parametrize("text", ("as much as that lets\n    expect", "all maps are heard", "RPCs that are none, say"))
+def test_what_stops_readers_is_found_across_lines(text):
+    assert stoppers_in(text)
 
 
 def structure(page):

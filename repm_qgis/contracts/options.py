@@ -176,7 +176,7 @@ def require_mesh(path: str) -> None:
 
 
 def _check_images(images: Tuple[str, ...], **beside: Tuple[str, ...]) -> None:
-    """Raise OptionError for a list of images that is none, or lists of files ``beside`` them that do not fit it."""
+    """Raise OptionError for an invalid list of images, or lists of files ``beside`` them that do not fit it."""
     if not all(images):
         raise OptionError("IMAGES", images, "must be a list of image files")
     if len(set(images)) != len(images):

@@ -171,7 +171,7 @@ class WaterParameters(Parameters):
     shore_m: float = 3.0  # width of the strip around water that says how high the water is,
     shore_cells: int = 3  # but at least so many cells
     shore_percentile: float = 10.0  # of its heights: banks and trees are higher, a tenth may be wrong and too low
-    least_shore: int = 20  # heights of a shore, or of a part of it: fewer say nothing
+    least_shore: int = 20  # heights of a shore, or of a part of it: fewer are no evidence
     known_shore: float = 0.5  # of a shore must be known: what a cloud hides may be lower,
     level_shore: float = 0.25  # unless so much of all the shore is known to be
     same_level_m: float = 1.0  # no higher than this above the lowest

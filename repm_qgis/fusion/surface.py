@@ -50,7 +50,7 @@ def blocks_of(
 @dataclass(frozen=True)
 class LightTask:
     """All a worker needs for the intensities of a block: the ``joined`` tiles on the ``grid``, the ``wide`` window in
-    which objects may hide its cells, and the ``witnesses``."""
+    which objects may hide its cells, and the views as ``witnesses``."""
 
     block: Block
     wide: Window

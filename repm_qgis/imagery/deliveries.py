@@ -120,7 +120,7 @@ def _indexes(image: Path, there: Dict[str, List[str]]) -> Iterator[str]:
 
 
 def _tiles_of(index: str) -> List[str]:
-    """The names of the image files in its own folder that an index names; empty for a file that is none."""
+    """The names of the image files in its own folder that an index names; empty for a file that is no index."""
     try:
         text = sidecar_text(index)
         if index.lower().endswith(".til"):

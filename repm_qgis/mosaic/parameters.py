@@ -13,7 +13,7 @@ class OffsetParameters(Parameters):
 
     patch_cells: int = 128  # side of a part of an overlap that is read at once
     patches: int = 64  # of an overlap, evenly spread, at most: a million cells
-    least_cells: int = 400  # with both heights: fewer say nothing about an offset
+    least_cells: int = 400  # with both heights: fewer determine no offset
     independent: float = 25.0  # neighbouring cells that err alike, and count as one (as in co-registration)
     least_deviation_m: float = 0.001  # of an overlap's median: no overlap counts for more
     most_m: float = 10.0  # by which a DSM is moved without a warning: without ground control images are off by metres

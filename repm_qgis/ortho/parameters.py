@@ -29,7 +29,7 @@ class SeamParameters(Parameters):
     hidden: float = 50.0  # of a view that does not see the cell
     edge_cells: int = 2  # this near to ground that a view does not see, the DSM's edges may be wrong
     edge: float = 1.0  # of a cell there
-    least_views: int = 3  # views that see a cell, of which the median is taken for its colour
+    least_views: int = 3  # views that see a cell, for a median of their colours
     odd: float = 0.3  # of one standard deviation from that
     oddest: float = 2.0  # and colours farther away count as that
     seam: float = 0.3  # of a cell of a seam

@@ -247,7 +247,8 @@ def _near(views: Sequence[View], search: Altitudes) -> List[Tuple[View, View]]:
 
 
 def _seen_by(first: View, second: View, place: Tuple[float, float, float]) -> Tuple[float, float, float]:
-    """A place, or that between the middles of two frames that do not both show it: an RPC says nothing about others."""
+    """A place, or that between the middles of two frames that do not both show it: an RPC is only valid around its
+    image."""
     pixels = [view.project(np.array(place)) for view in (first, second)]
     if all((pixel > 0).all() and (pixel < view.size).all() for pixel, view in zip(pixels, (first, second))):
         return place

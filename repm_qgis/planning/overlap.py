@@ -102,7 +102,7 @@ def _each_once(views: Sequence[View], warn: Warn) -> List[View]:
 
 
 def _middle(view: View) -> bytes:
-    """A digest of an image's middle rows, which tells it from most others."""
+    """A digest of an image's middle rows, which distinguishes it from most others."""
     with opened(view.image) as dataset:
         row = max((view.height - _MIDDLE) // 2, 0)
         pixels = read(dataset, Window(0, row, view.width, min(_MIDDLE, view.height)), view.band)

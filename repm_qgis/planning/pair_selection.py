@@ -171,7 +171,7 @@ def _candidates(scene: Scene, parameters: PairParameters) -> Tuple[List[ViewPair
 
 def _place_of(scene: Scene, first: ogr.Geometry, second: ogr.Geometry) -> Tuple[float, float]:
     """Longitude and latitude where two views' lines of sight are compared: the scene's middle or, where these do not
-    show it, as frames of a block do, the middle of what they share. An RPC says nothing about other places."""
+    show it, as frames of a block do, the middle of what they share. An RPC is only valid around its image."""
     x, y = projected_from_geodetic(scene.crs, np.array([scene.frame.lon, scene.frame.lat]))
     middle = ogr.Geometry(ogr.wkbPoint)
     middle.AddPoint_2D(float(x), float(y))

@@ -25,7 +25,7 @@ class SweepParameters(Parameters):
     least_contrast: float = 1e-4  # variance of the root intensity over its squared mean: less is noise
     joined_planes: float = 2.0  # between neighbours of one connected part; smaller parts than the window are wrong
     least_known: float = 0.8  # share of a correlation window that both images must show
-    least_cells: int = 60  # cells with an altitude: fewer say nothing
+    least_cells: int = 60  # cells with an altitude: fewer are no evidence
     least_share: float = 0.01  # the same as a share of all cells
     enough_share: float = 0.1  # of all cells with an altitude: with fewer, the next best pair is tried,
     pairs: int = 4  # up to so many pairs

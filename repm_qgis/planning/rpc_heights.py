@@ -1,7 +1,7 @@
 """Whether the ground that the tie points show lies at the heights that the RPCs were made for.
 
 An RPC that is wrong along the parallax moves the ground up or down and leaves no other trace in the images. Vendors
-choose an RPC's heights so that they hold the terrain of the image, so ground outside them tells of such an error.
+choose an RPC's heights so that they hold the terrain of the image, so ground outside them is evidence of such an error.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def outside_rpc_heights(
 ) -> Optional[OutsideRpcHeights]:
     """How far the ground of ``figures`` lies outside the heights that the RPCs of views were made for.
 
-    None where it does not, and where nothing can be told: no ground is recorded, an RPC has its vendor's default
+    None where it does not, and where nothing is known: no ground is recorded, an RPC has its vendor's default
     heights, or the ground has more relief than they allow.
     """
     if figures.ground_m is None or any(_default(view, parameters) for view in views):

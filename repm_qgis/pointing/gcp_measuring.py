@@ -120,11 +120,11 @@ class GcpMeasuring:
         self._change(replace(self._state, points=tuple(gcp for gcp in self.points if gcp.id != name)))
 
     def measure(self, name: str, view: str, pixel: Optional[FloatArray]) -> None:
-        """Set, or with None take away, the (2,) pixel of a point in a view, and forget that the view was skipped."""
+        """Set, or with None remove, the (2,) pixel of a point in a view, and forget that the view was skipped."""
         self._change(_State(self._with_pixel(name, view, pixel), self._state.skipped - {(name, view)}))
 
     def skip(self, name: str, view: str) -> None:
-        """Say that a view does not show a point; its pixel there is taken away."""
+        """Say that a view does not show a point; its pixel there is removed."""
         self._change(_State(self._with_pixel(name, view, None), self._state.skipped | {(name, view)}))
 
     @property

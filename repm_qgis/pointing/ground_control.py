@@ -64,7 +64,7 @@ def read_gcps(
     extension; empty for a point without image measurements), col and row count from the first pixel's centre (0, 0).
     A layer may have points as geometry instead of lon and lat. ``views`` None reads positions and heights only.
     ``datum`` is the vertical datum: a name of :data:`repm_qgis.geometry.vertical.DATUMS`, or any vertical CRS that PROJ
-    knows; None or "" is the WGS 84 ellipsoid. Measurements in images that are none of the views are left out, and
+    knows; None or "" is the WGS 84 ellipsoid. Measurements in images that are not among the views are left out, and
     ``warn`` gets a sentence about them.
 
     Raises InputTableError with the file, the row and the wrong value, or where no measurement is left; OptionError for
@@ -108,7 +108,7 @@ def read_gcps(
 def _measured_elsewhere(
     path: str, points: Iterable[Gcp], elsewhere: Counter[str], views: Sequence[View], warn: Callable[[str], None]
 ) -> None:
-    """Report measurements (a count for each name) in images that are none of the views; raise InputTableError where
+    """Report measurements (a count for each name) in images that are not among the views; raise InputTableError where
     there are no others."""
     ours, theirs = listed([view.name for view in views]), listed(list(elsewhere))
     if not any(gcp.pixels for gcp in points):

@@ -383,7 +383,7 @@ def _require_thread(*errors: Optional[BaseException]) -> None:
 def as_they_end(
     pending: Dict["Future[Any]", int], progress: Progress, check: Callable[[], None] = lambda: None
 ) -> Iterator[Tuple[int, "Future[Any]"]]:
-    """Futures with their numbers as they end, taken out of ``pending``; a cancel is obeyed while waiting.
+    """Futures with their numbers as they end, removed from ``pending``; a cancel is obeyed while waiting.
 
     ``check`` is called where none has ended for a while.
     """

@@ -28,7 +28,8 @@ class JitterSine:
     """One sine of an attitude that shakes: px of the detector by which lines look aside, over the lines of the image.
 
     ``amplitudes_px`` are those in the direction of columns and of rows, ``phases_rad`` those at the first line. Along
-    the lines the camera looks back and forth: what is seen in a line lies so much farther back in the image.
+    the lines the camera tilts forwards and backwards: the content of a line then lies this much farther back in the
+    image.
     """
 
     period_lines: float

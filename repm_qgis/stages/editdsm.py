@@ -39,7 +39,7 @@ _COPIED = 0.4  # of the progress
 def run(options: EditDsmOptions, progress: Progress, parameters: EditingParameters = EDITING) -> Dict[str, Any]:
     """Copy the DSM, apply the edits that are enabled, and write the result.
 
-    Raises ImageError for a DSM or a confidence raster that cannot be used, InputTableError for a record that is none,
+    Raises ImageError for a DSM or a confidence raster that cannot be used, InputTableError for an invalid record,
     EmptyResultError for an edit that finds no heights to use, and WorkspaceError.
     """
     surface = surface_of(options.dsm, options.confidence)

@@ -62,8 +62,8 @@ def align_ties(
 ) -> List[Track]:
     """Align each track's pixels, from those of its first view on, along the ``pairs`` that its ties were found in.
 
-    These are pairs of like sun and season, and views of many dates need few of them. Where a pixel cannot be aligned,
-    the views beyond it are a track of their own; tracks that keep fewer than two views are dropped.
+    These are pairs of similar sun and season, and views of many dates need few of them. Where a pixel cannot be
+    aligned, the views beyond it are a track of their own; tracks that keep fewer than two views are dropped.
     """
     if not tracks:
         return []
