@@ -436,7 +436,7 @@ def sound_mosaics() -> List[str]:
             halves = [_half(images, bounds, crs, side, folder) for side in (0, 1)]
             report = str(folder / "r.html")
             ended = run_in(ROOT, "mosaic", {"dsms": halves, "output": str(folder / "m.tif"), "report": report}, folder)
-            table_of = re.sub("<[^>]+>", " ", Path(report).read_text(encoding="utf-8").split("to the side, m")[1])
+            table_of = re.sub("<[^>]+>", " ", Path(report).read_text(encoding="utf-8").split("horizontal shift, m")[1])
             _, _, _, median, _, spread_m, beside = table_of.split()[:7]
             rows.append([name, median, spread_m, beside, reported(ended)])
     return [

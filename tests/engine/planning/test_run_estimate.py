@@ -88,7 +88,7 @@ def test_the_inspection_expects_what_the_run_does(demo, runs, told, tmp_path):
     log, report = told(), tmp_path / "page.html"
     run_stage("inspect", {"images": demo["images"], "report": str(report)}, log)
     scene = runs["none"][0]
-    said = r"A DSM of all this ground will take about (\d+) s with .*, and (\d+\.\d) GiB"
+    said = r"A DSM of all this ground will take about (\d+) s with .* and (\d+\.\d) GiB"
     time, gib = re.search(said, " ".join(log.notes)).groups()
     run = estimate_run(scene, scene.pairs)
     assert run.wall_s / 1.5 - 5 < float(time) < 1.5 * run.wall_s + 5
