@@ -63,7 +63,7 @@ class Dialog(AlgorithmDialog):
             self._in_use.discard(self)
 
     def runAlgorithm(self) -> None:
-        """Keeps what the run is given: the widgets may be changed before it ends."""
+        """Keeps the parameters of the run: the widgets may be changed before it ends."""
         self._given = {}
         with suppress(AlgorithmDialogBase.InvalidParameterValue):  # Processing says so itself
             self._given = self.createProcessingParameters()
@@ -80,7 +80,7 @@ class Dialog(AlgorithmDialog):
                 push_message(self.messageBar(), text, [(title, self._closing(run)) for title, run in buttons])
 
     def _closing(self, run: Callable[[], Any]) -> Callable[[], None]:
-        """What a button of this dialog does: another step begins where this one's dialog stood."""
+        """The action of a button of this dialog: the next step's dialog opens where this one stood."""
 
         def close_and_run() -> None:
             self.close()

@@ -145,7 +145,7 @@ class GeoidGridsDialog(QDialog):
         self.refresh()
 
     def close_down(self) -> None:
-        """The plugin is unloaded: what is being fetched is cancelled."""
+        """The plugin is unloaded: downloads are cancelled."""
         if self._loading is not None:
             self._loading.cancelDownload()
             self._loading = None

@@ -250,7 +250,7 @@ class SurfaceEditingDock(QgsDockWidget):
             button.setChecked(self._canvas.mapTool() is self._tool and self._tool.kind == kind)
 
     def _choose_operation(self) -> None:
-        """Offer what the chosen operation takes."""
+        """Offer the inputs of the chosen operation."""
         name = self.operation.currentData()
         breakline = name == _BREAKLINE
         self.buttons[LINE].setVisible(breakline)

@@ -227,7 +227,7 @@ def serve(lines: JsonLines, begin: Callable[[Cancelling], Asked]) -> int:
     """Run a stage and send its lines; gives the exit code.
 
     ``begin`` is called when signals are handled, and gives the function that reads the stage's name and job. From here
-    on what is printed to standard output goes to standard error.
+    on, prints to standard output go to standard error.
     """
     cancelling = Cancelling(lines)
     lines.cancelled_by(cancelling.asked)

@@ -1,4 +1,4 @@
-"""What a scene is called on the map, in reports and on pages: by the most telling folder or file name, and the days.
+"""The name of a scene on the map, in reports and on pages: by the most telling folder or file name, and the days.
 Folders such as "out", files such as "dsm.tif" and temporary folders of QGIS do not identify a scene; then the folder
 around them names it, or the images.
 """

@@ -258,7 +258,7 @@ class Scene(Record):
     ("" before any), ``order`` the polynomial's, ``surface`` the file of the terrain model's coarse surface. Matching
     adds the ``pairs`` of views, their ``pointing``, the layer of ``tie_points`` and the ``backend``. A
     ``registration`` has moved the views' pointing, tiles, area and altitudes since. ``preset`` is the
-    one that the last run of the pipeline was given; what it set is in the ``history``, with all other options.
+    one that the last run of the pipeline was given; its values are in the ``history``, with all other options.
     """
 
     views: Tuple[View, ...]
@@ -386,7 +386,7 @@ class Scene(Record):
 
     @property
     def fingerprint(self) -> str:
-        """What the last stage that worked on the scene was made from."""
+        """The fingerprint of the last stage that worked on the scene."""
         return self.history[-1].fingerprint if self.history else ""
 
     def lean(self) -> "Scene":

@@ -230,7 +230,8 @@ def types_of(cls: Any) -> Dict[str, Any]:
 def typed(kind: Any, value: Any) -> Any:
     """A value of JSON as a type has it: lists become arrays, tuples and named tuples, objects become records.
 
-    Raises :class:`Misfit` where it does not fit, a check of the type included. What has its type already is kept.
+    Raises :class:`Misfit` where it does not fit, a check of the type included. Values that have the type already are
+    kept.
     """
     origin, arguments = get_origin(kind), get_args(kind)
     if kind is Any:

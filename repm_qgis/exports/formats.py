@@ -1,4 +1,5 @@
-"""What a format is: where its images lie, what it needs of the cameras, and what it writes beside them."""
+"""The description of a format: where its images lie, its requirements for the cameras, and the files beside the
+images."""
 
 from __future__ import annotations
 

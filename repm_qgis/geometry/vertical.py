@@ -160,7 +160,7 @@ class _MissingGridsError(LookupError):
         self.grids = list(grids)
 
 
-@lru_cache(maxsize=16)  # a grid that is missing may be there the next time: only what was found is kept
+@lru_cache(maxsize=16)  # a missing grid may be installed the next time: only successes are cached
 def _best_operation(code: str, bounds: Tuple[int, int, int, int]) -> pyproj.Transformer:
     """From ellipsoidal heights to a vertical CRS; raises _MissingGridsError. It takes 50 ms."""
     group, missing = vertical_operations(pyproj.CRS(_ELLIPSOIDAL), with_wgs84(pyproj.CRS(code)), bounds)

@@ -31,8 +31,8 @@ def write_collar_mask(
     """Write a mask (1 where a pixel is not to be used) of an image's black ends and of its own ``mask`` ("": none).
 
     Black are runs of pixels from the left or right end of a row, or from the top of a column, that the vendor's own
-    mask does not hide. Only a ``part`` of the image is looked at (None: the whole); what is black in it counts where
-    it is so to the image's end. Gives the share of the part that they are; 0 where they are too few to matter, and
+    mask does not hide. Only a ``part`` of the image is looked at (None: the whole); its black runs count where they
+    continue to the image's end. Gives the share of the part that they are; 0 where they are too few to matter, and
     nothing is written. ``check`` is called between parts, and may raise to stop.
 
     Raises ImageError for an image or mask that cannot be read, WorkspaceError where the mask cannot be written.

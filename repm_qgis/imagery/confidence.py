@@ -1,4 +1,4 @@
-"""What the bands of a confidence raster are, of ours and of rasters from elsewhere."""
+"""The meaning of a confidence raster's bands, in our rasters and in those of other programs."""
 
 from __future__ import annotations
 

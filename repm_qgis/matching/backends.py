@@ -45,7 +45,7 @@ NEED_A_DEVICE = frozenset({"colmap"})
 
 @dataclass(frozen=True)
 class MatchingJob:
-    """The tiles to match; ``key`` is the fingerprint of what all height maps are made from, ``folder`` takes them."""
+    """The tiles to match; ``key`` is the fingerprint of the inputs of all height maps, ``folder`` takes these."""
 
     scene: Scene
     tiles: Tuple[Tile, ...]
@@ -93,7 +93,8 @@ class Backend(Protocol):
         """A height map of the tile with these bounds, to be placed on the ground in any projected ``crs``.
 
         The geometry is made again from the scene: it is exact, and nothing stored can contradict it. Raises SceneError
-        where the height map is of another scene; what is read from it raises it where the file is missing or damaged.
+        where the height map is of another scene; reading from it raises SceneError too, where the file is missing or
+        damaged.
         """
 
     def wave_geometry(

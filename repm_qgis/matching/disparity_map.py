@@ -1,4 +1,4 @@
-"""What a matcher of rectified pairs takes and gives, and how well the images agree on disparities."""
+"""The input and output of a matcher of rectified pairs, and how well the images agree on disparities."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Coarse to fine: a reduced pair is matched over all altitudes, and what it finds is the prior of the fine matching.
+"""Coarse to fine: a reduced pair is matched over all altitudes, and its result is the prior of the fine matching.
 
 The *disparity prior* is a smooth disparity of the ground (not of its houses). The second image is resampled once, with
 the prior in the map: there the ground has a residual disparity of about zero, slopes are level, and the fine matcher

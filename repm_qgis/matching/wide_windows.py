@@ -2,8 +2,8 @@
 
 The noise of an image falls with the number of pixels that are averaged, broad shading does not. So the pair is matched
 again at a reduced resolution, with its local contrast made even: in eight bits, which the matcher takes, the shading
-of bright snow is less than one step. What the reduced images do not support stays empty: water has no texture that two
-views share, however wide the window.
+of bright snow is less than one step. Places that the reduced images do not support stay empty: water has no texture
+that two views share, however wide the window.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ from .parameters import MOSAIC
 
 @dataclass(frozen=True)
 class Surface:
-    """What a mosaic is made of: the file that the user knows it by, a DSM or a scene; the raster with its heights; the
+    """An input of a mosaic: the file that the user named, a DSM or a scene; the raster with its heights; the
     one with their expected error ("" for none); and why its heights are fixed ("" where they are not)."""
 
     name: str

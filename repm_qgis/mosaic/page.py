@@ -29,7 +29,7 @@ def mosaic_page(
     seam: Optional[float],
     warnings: Sequence[str],
 ) -> Report:
-    """What a mosaic was made of; ``cells`` counts those of each DSM by its number, ``seam`` is the median step, m."""
+    """The page of a mosaic; ``cells`` counts those of each DSM by its number, ``seam`` is the median step, m."""
     page = Report("Mosaic of DSMs", f"{options.output}, of {counted(len(layout.dsms), 'DSM')}")
     left = [
         verdict.Difference(each.first + 1, each.second + 1, each.after(offsets.added), each.nmad) for each in overlaps

@@ -37,7 +37,7 @@ class SeamParameters(Parameters):
     tolerance: float = 2.5  # expected errors of both together: heights this close mean the same surface (as in fusion)
     least_error_m: float = 0.02  # of a height: no DSM is better
     unknown_error_m: float = 0.5  # where neither a confidence raster nor an overlap says it
-    object_cells: int = 32  # seams go around what both DSMs show differently and what is smaller than this
+    object_cells: int = 32  # seams go around smaller objects, where two DSMs show these differently
     feather_cells: int = 6  # radius of the mean that is taken twice: a seam is four times as wide
     closed_cells: int = 4  # radius within which half of the cells have heights in a DSM without a hole
     interior_px: int = 1000  # side of the map of how far inside a DSM a place lies

@@ -30,8 +30,8 @@ from .parameters import ORTHO, PansharpeningParameters
 class Multispectral:
     """A multispectral image as a panchromatic view sees it, and how the two are combined.
 
-    ``weights`` (of all ``bands``) make a panchromatic value; ``shift`` is what the image is off, (column, row) in px of
-    its own. ``correlation`` is that of the weighted sum with the panchromatic image.
+    ``weights`` (of all ``bands``) make a panchromatic value; ``shift`` is the image's displacement, (column, row) in
+    its own px. ``correlation`` is that of the weighted sum with the panchromatic image.
     """
 
     pan: View

@@ -83,7 +83,7 @@ def fusion_needs(
     if bands:
         rasters["ortho"] = bands * _COLOURED
     needs += [_need(getattr(options, name), cells * size) for name, size in rasters.items() if getattr(options, name)]
-    if options.viewer:  # what is draped over it is temporary where it is not a product
+    if options.viewer:  # rasters that it drapes are temporary where they are no products
         temporary = [name for name in ("ortho", "confidence") if not getattr(options, name)]
         needs += [_need(folder, cells * _RASTERS[name]) for name in temporary]
         needs.append(_need(options.viewer, min(cells, VIEWER_CELLS) * _PAGE_CELL))

@@ -47,7 +47,8 @@ class ImageFacts:
 
 @dataclass(frozen=True)
 class PairFacts:
-    """Two images that overlap: what they share, and whether matching them is worth it (YES, CARE, NO), with the reason.
+    """Two images that overlap: their common ground, and whether matching them is worth it (YES, CARE, NO), with the
+    reason.
 
     ``ground`` is the overlap in the place's CRS, ``percent`` its part of the smaller footprint. ``chosen``: the
     pipeline would match the pair, were it given all these images.

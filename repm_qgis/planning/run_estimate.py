@@ -47,7 +47,8 @@ class RunEstimate(NamedTuple):
 def estimate_run(
     scene: Scene, pairs: Sequence[ViewPair], own_surface: bool = False, workers: int = 0, paths: int = 3
 ) -> RunEstimate:
-    """What the pipeline takes for a scene with tiles whose pairs are matched on the CPU, from images to the DSM.
+    """The time and memory of the pipeline for a scene with tiles whose pairs are matched on the CPU, from images to the
+    DSM.
 
     ``own_surface`` is the terrain model without a DEM; ``workers`` 0 means one a core; ``paths`` are
     the directions of semi-global matching. Point clouds and meshes come on

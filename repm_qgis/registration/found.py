@@ -23,7 +23,7 @@ class FoundHeights:
     ``datum`` is the datum that the file states, None where it states none. ``name``, ``width_m``, ``disc``
     and ``slopes`` are those of :class:`~repm_qgis.registration.surfaces.Reference`. Where the file does not state the
     unit of its heights, heights and slopes are the file's numbers, and ``places_in`` names the unit of its places.
-    ``about`` is a sentence for the report: what the heights are, and which of them were taken.
+    ``about`` is a sentence for the report: the kind of heights, and which of them were taken.
     """
 
     name: str

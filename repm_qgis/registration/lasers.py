@@ -55,7 +55,7 @@ def flags(parameters: RegistrationParameters = REGISTRATION) -> Dict[str, Tuple[
 class Laser:
     """A product of a laser: its support, and where its HDF5 files have places, heights, quality and time in each beam.
 
-    ``frame`` is what its heights are above, ``criterion`` says which of them are good.
+    ``frame`` is the datum of its heights, ``criterion`` says which of them are good.
     """
 
     name: str

@@ -70,8 +70,8 @@ class Laid:
     datum: HeightDatum
     datum_from: str
     shift: Shift
-    choice: Optional[DatumChoice] = None  # where neither the user nor the file says what the datum is
-    about: str = ""  # a sentence on what the heights are
+    choice: Optional[DatumChoice] = None  # where neither the user nor the file states the datum
+    about: str = ""  # a sentence about the kind of heights
 
     def figures(self) -> ReferenceFigures:
         """What a scene keeps of it."""

@@ -103,7 +103,7 @@ def solve_shift(
     horizontal, directions = np.linalg.eigh(found[1][:2, :2])
     good = horizontal <= most**2
     free = directions[:, good].T
-    if not good.all():  # what the relief does not determine stays as it was
+    if not good.all():  # undetermined directions stay as they were
         found = problem.back(found, free, tilted)
     if free.size and problem.is_fine:
         found = problem.refined(found, free, tilted, check)

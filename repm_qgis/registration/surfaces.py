@@ -32,7 +32,7 @@ class SupportMeans:
     """A surface averaged over supports of one kind, and its gradient, at any place."""
 
     def __init__(self, grid: CellGrid, height: Floats, reference: Reference, covered: float) -> None:
-        """``height`` (rows, columns) of ``grid``, NaN where unknown; the reference says what the supports are.
+        """``height`` (rows, columns) of ``grid``, NaN where unknown; the supports are those of the reference.
 
         Means have a value where ``covered`` of the support's area is known; they are means of what is known.
         """

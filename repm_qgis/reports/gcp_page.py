@@ -175,7 +175,7 @@ def _points(page: Report, found: GcpAccuracy) -> None:
 
 
 def _residuals(page: Report, found: GcpAccuracy) -> None:
-    """Image residuals, and what the compensation is."""
+    """Image residuals, and the compensation."""
     if not found.residuals:
         return
     page.section("In the images").table(

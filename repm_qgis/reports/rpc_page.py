@@ -16,7 +16,7 @@ from .report import Report, fixed
 
 @dataclass(frozen=True)
 class ExportedRpc:
-    """A view's corrected RPC, and what the correction is at the image's middle.
+    """A view's corrected RPC, and the correction at the image's middle.
 
     ``shift_px`` (2,) are columns and rows, ``moved_m`` (2,) metres east and north on the ground, NaN where they are not
     known.

@@ -22,7 +22,7 @@ TRIANGLES = np.array([[_A, _C, _D], [_A, _D, _B], [_A, _C, _B], [_B, _C, _D]])
 
 @dataclass(frozen=True)
 class Kept:
-    """What a lattice is simplified to: which of its cells are vertices, and (N, 3) their numbers in the triangles."""
+    """A simplified lattice: which of its cells are vertices, and (N, 3) their numbers in the triangles."""
 
     cells: Mask
     triangles: NDArray[np.int32]

@@ -54,7 +54,7 @@ def require_distinct(stage: str, options: Options) -> None:
 
 
 def _place(path: str) -> str:
-    """What is equal for two paths that are one file, which need not be there yet."""
+    """A value that is equal for two paths of one file, which need not exist yet."""
     place = real_path(path)
     return place.casefold() if _ignores_case(existing_place(place)) else place
 

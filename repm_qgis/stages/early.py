@@ -94,6 +94,6 @@ def require_cell(cell_m: float, side_m: float, gsd_m: float, parameters: TilePar
 
 
 def _two_digits(value: float) -> float:
-    """Rounded down to two significant digits, so that what a message proposes is accepted."""
+    """Rounded down to two significant digits, so that the value which a message proposes is accepted."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.floor(value / step + 1e-9) * step:.2g}")

@@ -56,9 +56,9 @@ def run(options: MosaicOptions, progress: Progress, parameters: EngineParameters
     """Fuse the scenes, solve the offsets, make the mosaic block by block, and write it; gives the offsets and the
     products' paths.
 
-    What a stopped run has finished is taken as it is. Raises ImageError for a DSM that cannot be used, SceneError for
-    such a scene, OverlapError where none overlaps another, EmptyResultError where none has a height, WorkspaceError,
-    OutOfMemoryError and ClusterError.
+    Finished parts of a stopped run are used as they are. Raises ImageError for a DSM that cannot be used, SceneError
+    for such a scene, OverlapError where none overlaps another, EmptyResultError where none has a height,
+    WorkspaceError, OutOfMemoryError and ClusterError.
     """
     for path in filter(None, (options.output, options.sources)):
         require_tiles_place(path)

@@ -1,7 +1,8 @@
 """The parts of the work, each of which a worker does from files and to files: its memory does not grow.
 
-Blocks begin at whole cells of the coarse surface. What a cell depends on lies in the block with its margin, or in the
-coarse surface, which is that of the whole DSM: neither the number of workers nor the size of blocks changes a byte.
+Blocks begin at whole cells of the coarse surface. All data that a cell depends on lie in the block with its margin, or
+in the coarse surface, which is that of the whole DSM: neither the number of workers nor the size of blocks changes a
+byte.
 """
 
 from __future__ import annotations

@@ -39,8 +39,8 @@ def objects_on(
     ----------
     height : (H, W) m, NaN = none.
     cell : side of a cell, m.
-    largest : the width of the largest object, m. What is wider is ground.
-    slope : the steepest ground, m per m: what is steeper around something is its wall.
+    largest : the width of the largest object, m. Wider objects are ground.
+    slope : the steepest ground, m per m: a steeper outline around an object is its wall.
 
     Returns
     -------

@@ -13,7 +13,7 @@ from ..reports.report import Report
 from .inputs import Surface
 
 _PICTURE_PX = 700
-_TALL_M = 2.0  # what is lower is left out of the histogram: cars, hedges and noise
+_TALL_M = 2.0  # lower heights are left out of the histogram: cars, hedges and noise
 
 
 def terrain_page(options: DtmOptions, surface: Surface, facts: Mapping[str, Any], warnings: Sequence[str]) -> Report:

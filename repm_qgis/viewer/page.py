@@ -55,7 +55,7 @@ class ViewerFacts:
 def write_viewer(
     options: ViewerOptions, progress: Progress, parameters: ViewerParameters = VIEWER, name: str = ""
 ) -> ViewerFacts:
-    """Write the page of a DSM, whole or not at all; ``name`` is what the page is of, "" for what its file says.
+    """Write the page of a DSM, whole or not at all; ``name`` is the subject of the page, "" for the name in its file.
 
     Raises ImageError for a raster that cannot be read, EmptyResultError for a DSM without heights, OverlapError for
     a raster of another place, MissingPackageError without jinja2, WorkspaceError where the page cannot be written.

@@ -9,7 +9,8 @@ from ..contracts.parameters import Parameters
 
 @dataclass(frozen=True)
 class ViewerParameters(Parameters):
-    """What a page holds of a surface and of what is draped over it. Chosen, unless a source is given."""
+    """The size and precision of a page's surface and of the rasters draped over it. Chosen, unless a source is
+    given."""
 
     most_side: int = 4096  # cells: the largest picture that every device with WebGL 2 shows in practice
     quantum_m: float = 0.01  # of a height, where 16 bit reach over the DSM's range; larger where they do not
