@@ -81,9 +81,7 @@ class NextSteps:
         scene, dsm = next(iter(named["SCENE"]), None), results.get("OUTPUT")
         text = _tr("The DSM is made. Is it in the right place?")
         if _is_registered(scene):
-            text = _tr(
-                "The DSM of the registered scene is made. Compare it again, best with heights that were not used."
-            )
+            text = _tr("The DSM of the registered scene is made. Compare it with other heights.")
         return text, self._measuring(scene, dsm), []
 
     def _after_comparedsm(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
@@ -92,13 +90,13 @@ class NextSteps:
         if not scene or _is_registered(scene):
             edit = self._editing(dsm) if scene else []
             return _tr("The registered DSM is compared. Edit it where it is wrong.") if edit else "", edit, []
-        text = _tr("If the DSM is off by more than you accept, register its scene to the reference, and make it again.")
+        text = _tr("Is the DSM off by too much? Register its scene.")
         return text, [(_tr("Register to this reference…"), lambda: self.register(scene))], []
 
     def _after_register(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
         scene = results.get("OUTPUT_SCENE")
         moved = math.sqrt(sum(float(results.get(name) or 0.0) ** 2 for name in ("EAST", "NORTH", "UP")))
-        text = _tr("The scene was moved by {distance} m. Make its DSM again.")
+        text = _tr("The scene was moved by {distance} m.")
         views = []
         layer = _layer_of(results.get("DIFFERENCES"))
         if layer is not None:

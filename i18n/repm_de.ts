@@ -1261,24 +1261,24 @@
         <translation>Das DOM ist fertig. Liegt es am richtigen Ort?</translation>
     </message>
     <message>
-        <source>The DSM of the registered scene is made. Compare it again, best with heights that were not used.</source>
-        <translation>Das DOM der eingepassten Szene ist fertig. Es noch einmal vergleichen, am besten mit Höhen, die nicht verwendet wurden.</translation>
+        <source>The DSM of the registered scene is made. Compare it with other heights.</source>
+        <translation>Das DOM der eingepassten Szene ist fertig. Es mit anderen Höhen vergleichen.</translation>
     </message>
     <message>
         <source>The registered DSM is compared. Edit it where it is wrong.</source>
         <translation>Das eingepasste DOM ist verglichen. Wo es falsch ist, kann es bearbeitet werden.</translation>
     </message>
     <message>
-        <source>If the DSM is off by more than you accept, register its scene to the reference, and make it again.</source>
-        <translation>Wenn das DOM weiter danebenliegt, als zulässig ist, seine Szene auf die Referenz einpassen und es neu erzeugen.</translation>
+        <source>Is the DSM off by too much? Register its scene.</source>
+        <translation>Liegt das DOM zu weit daneben? Seine Szene einpassen.</translation>
     </message>
     <message>
         <source>Register to this reference…</source>
         <translation>Auf diese Referenz einpassen…</translation>
     </message>
     <message>
-        <source>The scene was moved by {distance} m. Make its DSM again.</source>
-        <translation>Die Szene wurde um {distance} m verschoben. Ihr DOM neu erzeugen.</translation>
+        <source>The scene was moved by {distance} m.</source>
+        <translation>Die Szene wurde um {distance} m verschoben.</translation>
     </message>
     <message>
         <source>Before</source>
