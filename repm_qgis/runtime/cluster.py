@@ -24,7 +24,7 @@ from distributed.security import Security
 from osgeo import gdal
 
 from ..contracts.errors import ClusterError
-from .parallel import do_task, packed, use_workers
+from .parallel import R, T, do_task, packed, use_workers
 from .process_limits import prepare_process
 from .progress import Progress
 from .workspace import ensure_folder, whole_file
@@ -282,19 +282,19 @@ class _ClusterWorkers:
 
     def run(
         self,
-        function: Callable[[Any], Any],
-        tasks: Sequence[Any],
+        function: Callable[[T], R],
+        tasks: Sequence[T],
         workers: int,
         progress: Progress,
-        describe: Callable[[Any], str],
-    ) -> List[Any]:
+        describe: Callable[[T], str],
+    ) -> List[R]:
         """See :func:`~repm_qgis.runtime.parallel.run_tasks`; a task whose worker is lost goes to another, three times.
 
         Then the rest is finished, and ClusterError names those that were lost.
         """
         run, rest = uuid.uuid4().hex[:8], iter(range(len(tasks)))
         numbers: Dict[Any, int] = {}  # of the tasks that the scheduler knows, by their futures
-        results: Dict[int, Any] = {}
+        results: Dict[int, R] = {}
         lost: List[int] = []
         ended = as_completed(with_results=True, raise_errors=False, loop=self._client.loop)
         progress.step(0.0, f"{len(tasks)} tasks on the cluster")

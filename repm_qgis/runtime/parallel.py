@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import multiprocessing.context
+import multiprocessing.process
 import multiprocessing.util
 import os
 import pickle  # nosec B403 # see its one reading
@@ -15,7 +16,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, nullcontext, suppress
 from functools import cache
-from typing import Any, Callable, Dict, Iterator, List, Optional, Protocol, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Protocol, Sequence, Tuple, TypeVar
 
 from ..contracts.errors import OutOfMemoryError, RepmError, WorkerError
 from .containers import memory_kills
@@ -25,6 +26,11 @@ from .shortage import MEMORY_REMEDY, shortage_as_error
 from .translation import reader, written_in
 from .windows import cancel_transfers, exit_code
 from .workspace import ensure_folder, remove_temporary, temporary_name
+
+T = TypeVar("T")
+"""What a task is."""
+R = TypeVar("R")
+"""What comes of it."""
 
 _PRELOADED = ("numpy", "cv2", "osgeo.gdal_array")
 _POLL_S = 0.3
@@ -52,12 +58,12 @@ class Workers(Protocol):
 
     def run(
         self,
-        function: Callable[[Any], Any],
-        tasks: Sequence[Any],
+        function: Callable[[T], R],
+        tasks: Sequence[T],
         workers: int,
         progress: Progress,
-        describe: Callable[[Any], str],
-    ) -> List[Any]:
+        describe: Callable[[T], str],
+    ) -> List[R]:
         """See :func:`run_tasks`."""
 
     def kill(self) -> None:
@@ -65,12 +71,12 @@ class Workers(Protocol):
 
 
 def run_tasks(
-    function: Callable[[Any], Any],
-    tasks: Sequence[Any],
+    function: Callable[[T], R],
+    tasks: Sequence[T],
     workers: int,
     progress: Progress,
-    describe: Callable[[Any], str],
-) -> List[Any]:
+    describe: Callable[[T], str],
+) -> List[R]:
     """``[function(task) for task in tasks]``, in worker processes where that pays.
 
     ``function`` and tasks must be picklable, ``workers`` 0 means one a core; a cluster uses all that it has. Progress
@@ -84,7 +90,7 @@ def run_tasks(
     return _workers.run(function, tasks, workers or cores(), progress, describe)
 
 
-def run_whole(function: Callable[[Any, Progress], Any], task: Any, progress: Progress, description: str) -> Any:
+def run_whole(function: Callable[[T, Progress], R], task: T, progress: Progress, description: str) -> R:
     """``function(task, progress)``: here, or on a worker of a cluster, where there is one, so that no pixel comes here.
 
     The notes and warnings of a cluster's worker are passed on when it is done.
@@ -100,7 +106,7 @@ def run_whole(function: Callable[[Any, Progress], Any], task: Any, progress: Pro
     return result
 
 
-def _noted(work: Tuple[Callable[[Any, Progress], Any], Any, str]) -> Tuple[Any, List[str], List[str]]:
+def _noted(work: Tuple[Callable[[T, Progress], R], T, str]) -> Tuple[R, List[str], List[str]]:
     function, task, language = work
     recorder = Recorder(Silent())
     with written_in(language):
@@ -115,7 +121,7 @@ def task_mib() -> Optional[float]:
 class _Pool:
     """Worker processes of this machine that wait for tasks; each begins when there is a task for it."""
 
-    task_mib = None
+    task_mib: Optional[float] = None
 
     def __init__(self) -> None:
         self._executor: Optional[ProcessPoolExecutor] = None
@@ -123,20 +129,20 @@ class _Pool:
 
     def run(
         self,
-        function: Callable[[Any], Any],
-        tasks: Sequence[Any],
+        function: Callable[[T], R],
+        tasks: Sequence[T],
         workers: int,
         progress: Progress,
-        describe: Callable[[Any], str],
-    ) -> List[Any]:
-        results: Dict[int, Any] = {}
+        describe: Callable[[T], str],
+    ) -> List[R]:
+        results: Dict[int, R] = {}
         if workers <= 1 or len(tasks) <= _FEW:
             for index, task in enumerate(tasks):
                 progress.check_cancelled()
                 progress.step(index / len(tasks), describe(task))
                 results[index] = function(task)
             return list(results.values())
-        pending: Dict["Future[Any]", int] = {}
+        pending: Dict["Future[R]", int] = {}
         killed_before = memory_kills()
         try:
             executor = self._of(workers)
@@ -184,7 +190,7 @@ class _Pool:
         for process in self._processes():
             process.kill()
 
-    def _processes(self) -> List[Any]:
+    def _processes(self) -> List[multiprocessing.process.BaseProcess]:
         """The workers that have begun; no public name has them."""
         return list((getattr(self._executor, "_processes", None) or {}).values())
 
@@ -315,7 +321,7 @@ def kept_workers() -> Iterator[None]:
         _stop_server()
 
 
-def packed(function: Callable[[Any], Any], task: Any) -> bytes:
+def packed(function: Callable[[T], object], task: T) -> bytes:
     """A task as it travels to a worker."""
     return pickle.dumps((function, task))
 
@@ -381,8 +387,8 @@ def _require_thread(*errors: Optional[BaseException]) -> None:
 
 
 def as_they_end(
-    pending: Dict["Future[Any]", int], progress: Progress, check: Callable[[], None] = lambda: None
-) -> Iterator[Tuple[int, "Future[Any]"]]:
+    pending: Dict["Future[R]", int], progress: Progress, check: Callable[[], None] = lambda: None
+) -> Iterator[Tuple[int, "Future[R]"]]:
     """Futures with their numbers as they end, removed from ``pending``; a cancel is obeyed while waiting.
 
     ``check`` is called where none has ended for a while.
