@@ -446,7 +446,7 @@ class DemOffset(Record):
 class FusionFacts(Record):
     """What fusion counted, in cells of the DSM: ``cells`` that two images see, ``valid`` ones with a height, of these
     ``matched``, ``background`` (all other sources but interpolation) and ``interpolated`` ones; ``removed`` were
-    outliers, ``needles`` stood far above all others and were supported by a single map only. ``points`` are the
+    outliers, ``needles`` were far above or below all others and supported by a single map only. ``points`` are the
     cloud's, ``resolution`` is the side of a cell in units of the ``crs``. ``dem_offset`` is None where no DEM was
     given, or where it could not be compared. ``water`` are the bodies of water, of ``water_m2`` square metres together,
     that were found where the options asked for it, by the ``water_evidence``.

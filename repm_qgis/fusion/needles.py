@@ -1,9 +1,10 @@
-"""Removes spikes ("needles"): a few cells far above all others around them, which a single map has.
+"""Removes spikes ("needles"): a few cells far above or far below all others around them, which a single map has.
 
 Matching removes small connected components of disparities, but lets those pass that match well: towers and chimneys are
 so small. Where a texture repeats itself, gross errors match as well. Other maps outvote most cells of such a patch, and
 the rest of it in the surface is even smaller. So a component of the size that matching removes is kept only with the
-support of a second map, if it stands above everything around it by much more than it is wide.
+support of a second map, if it is above everything around it, or below it, by much more than it is wide. Two lines of
+sight do not even reach the bottom of a pit that narrow.
 """
 
 from __future__ import annotations
@@ -39,17 +40,17 @@ def needles(
     left, most = steps.copy(), int(parameters.step_m / _UNIT_M)
     cv2.filterSpeckles(left, _NONE, largest, most)
     small = known & (left == _NONE)
-    low, _ = extremes(height, known, parameters.around_cells)
+    low, high = extremes(height, known, parameters.around_cells)
     with np.errstate(invalid="ignore"):
-        high = small & (height - low > parameters.slender * cell)
+        far = small & (np.maximum(height - low, high - height) > parameters.slender * cell)
     result = np.zeros(height.shape, bool)
-    if not high.any():
+    if not far.any():
         return result
     from scipy import ndimage
 
     labels = _components(steps.astype(np.int64), small, most)
     places = ndimage.find_objects(labels)
-    for label in np.unique(labels[high]):
+    for label in np.unique(labels[far]):
         near = tuple(_wider(side, parameters.around_cells) for side in places[label - 1])
         own = labels[near] == label
         lone = np.nan_to_num(count[near][own]).max() < 2
@@ -63,13 +64,15 @@ def _wider(side: slice, by: int) -> slice:
 
 
 def _stands_out(own: Mask, height: FloatImage, cell: float, parameters: NeedleParameters) -> bool:
-    """Whether cells stand above all around them by so much more than they are wide."""
+    """Whether cells are above all around them, or below them, by so much more than they are wide."""
     side = 2 * parameters.around_cells + 1
     around = (cv2.dilate(own.astype(np.uint8), np.ones((side, side), np.uint8)) > 0) & ~own & np.isfinite(height)
     if not around.any():
         return False
     width = cell * math.sqrt(int(own.sum()))
-    return bool(height[own].min() - height[around].max() > parameters.slender * width)
+    own_height, other = height[own], height[around]
+    gap = max(own_height.min() - other.max(), other.min() - own_height.max())
+    return bool(gap > parameters.slender * width)
 
 
 def _components(steps: IntArray, cells: Mask, most: int) -> IntArray:

@@ -160,7 +160,7 @@ def _surface(report: Report, path: str, datum: str, facts: FusionFacts) -> None:
     known = f"{facts.valid} of {facts.cells} that two images see ({facts.valid_percent:.1f} %)"
     heights = f"{np.nanmin(values):.1f} to {np.nanmax(values):.1f} m above the {datum}"
     figures = [("Cell size", f"{facts.resolution:g} m"), ("Cells with a height", known)]
-    removed = [("Spikes that were removed", f"{facts.needles} cells")] if facts.needles else []
+    removed = [("Spikes and pits that were removed", f"{facts.needles} cells")] if facts.needles else []
     found = f"{facts.water_m2:.0f} m2 ({facts.water_evidence})"
     water = [("Water", found)] if facts.water else []
     report.facts([*figures, *removed, ("Heights", heights), *water, ("CRS", facts.crs)])

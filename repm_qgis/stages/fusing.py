@@ -94,8 +94,8 @@ def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredT
     blocks, gone = _chosen(fusion, joined, walls, Part(progress, _TILES, 1.0))
     if gone:
         progress.info(
-            f"Removed {counted(gone, 'cell')} of spikes: small groups of cells far above everything around them, "
-            "which only one pair of images has."
+            f"Removed {counted(gone, 'cell')} of spikes and pits: small groups of cells far above or below everything "
+            "around them, which only one pair of images has."
         )
     water: Optional[Water] = None
     if options.water == "flatten" or options.water_mask:

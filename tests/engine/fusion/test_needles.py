@@ -27,12 +27,14 @@ def test_nothing_of_a_town_is_a_needle():
     assert not needles(*town(), CELL, LARGEST).any()
 
 
+@pytest.mark.parametrize("at_m", (71.0, -66.0))
 @pytest.mark.parametrize("shape", ((1, 1), (2, 3), (1, 9), (4, 5)))
-def test_a_few_cells_far_above_all_others_are_one(shape):
-    """As on jax_068 with the images 009, 011, 012: eight cells up to 71 m where roofs end at 22."""
+def test_a_few_cells_far_above_or_below_all_others_are_one(shape, at_m):
+    """As on jax_068: with the images 009, 011, 012 eight cells up to 71 m where roofs end at 22, with 009, 012 a pit of
+    17 cells in a roof, 30 m deep."""
     height, count = town()
     place = np.s_[50 : 50 + shape[0], 50 : 50 + shape[1]]
-    height[place] = 71.0
+    height[place] = at_m
     height[49, 49], height[51, 60] = np.nan, np.nan  # holes beside it say nothing
     wanted = np.zeros(height.shape, bool)
     wanted[place] = True
@@ -53,6 +55,16 @@ def test_what_stands_beside_something_as_high_is_none():
     height[40:46, 37] = np.nan
     height[41:44, 36:38] = 35.0 - 1.0
     assert not needles(height, count, CELL, LARGEST).any()
+
+
+def test_a_shaft_that_two_views_can_see_is_none():
+    """A yard in the hall, not quite five times as deep as it is wide, and a gap between houses."""
+    height, count = town()
+    height[10:14, 10:14] = -3.0 - 11.5
+    height[16:18, 5:25] = -25.0
+    assert not needles(height, count, CELL, LARGEST).any()
+    height[10:14, 10:14] = -3.0 - 14.0
+    assert needles(height, count, CELL, LARGEST).sum() == 16
 
 
 def test_steep_ground_is_none():
