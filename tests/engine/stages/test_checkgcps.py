@@ -79,7 +79,8 @@ def located_by_hand(urban, point):
         ground = frame.to_geodetic(enu)
         return np.concatenate([pixel - view.project(ground) for pixel, view in zip(pixels, urban.views)])
 
-    return least_squares(misfit, np.zeros(3), x_scale=1.0, xtol=1e-14, ftol=1e-14).x
+    # Metres of a step: one of 1e-8 m, as it is chosen near 0, would be lost in the digits of a latitude.
+    return least_squares(misfit, np.zeros(3), jac="3-point", diff_step=1e-3, x_scale=1.0, xtol=1e-14, ftol=1e-14).x
 
 
 def test_known_biases_come_out_and_compensation_takes_them_out(urban, scene, exact, points, tmp_path, told):
