@@ -52,7 +52,7 @@ def cluster_workers(address: str, read: Sequence[str], folders: Sequence[str], p
     client = _client(address)
     try:
         workers = _same_everywhere(client, address)
-        _require_shared(client, workers, read, folders)
+        _require_shared(client, address, workers, read=read, folders=folders)
         client.register_plugin(_Prepared())
         limits = [int(worker["memory_limit"]) for worker in workers.values() if worker.get("memory_limit")]
         hosts = len({worker["host"] for worker in workers.values()})
@@ -134,6 +134,11 @@ def _in_scheduler_file(path: str) -> str:
     return found
 
 
+def _gone(address: str) -> ClusterError:
+    remedy = "start it again and run again: what is finished is kept"
+    return ClusterError(f"The scheduler of the cluster at '{address}' has ended: {remedy}.")
+
+
 def _close(client: Client) -> None:
     with suppress(Exception):  # the scheduler may be gone
         client.close(timeout=1)
@@ -203,9 +208,12 @@ def _unusable_here(files: Dict[str, int], probes: Dict[str, str]) -> List[Tuple[
     return wrong
 
 
-def _ask(client: Client, question: Callable[..., Any], *arguments: Any) -> Dict[str, Any]:
-    """Every worker's answer by its address; raises ClusterError where one cannot answer."""
-    answers: Dict[str, Any] = client.run(question, *arguments, on_error="return")
+def _ask(client: Client, address: str, question: Callable[..., Any], *arguments: Any) -> Dict[str, Any]:
+    """Every worker's answer by its address; raises ClusterError where one cannot answer, or the scheduler has ended."""
+    try:
+        answers: Dict[str, Any] = client.run(question, *arguments, on_error="return")
+    except OSError as error:
+        raise _gone(address) from error
     for worker, answer in answers.items():
         if isinstance(answer, BaseException):
             reason = " ".join(f"{type(answer).__name__}: {answer}".split())[:200]
@@ -222,7 +230,7 @@ def _same_everywhere(client: Client, address: str) -> Dict[str, Dict[str, Any]]:
         raise ClusterError(f"The cluster at '{address}' has no workers: {remedy}.") from error
     workers: Dict[str, Dict[str, Any]] = client.scheduler_info(n_workers=-1)["workers"]
     own = _facts()(_PACKAGES)["versions"]
-    for worker, answer in sorted(_ask(client, _facts(), _PACKAGES).items()):
+    for worker, answer in sorted(_ask(client, address, _facts(), _PACKAGES).items()):
         name = f"The worker {worker} on '{workers.get(worker, {}).get('host', 'an unknown machine')}'"
         for package, version in answer["versions"].items():
             if version != own[package]:
@@ -248,7 +256,7 @@ def _size(path: str) -> int:
 
 
 def _require_shared(
-    client: Client, workers: Dict[str, Dict[str, Any]], read: Sequence[str], folders: Sequence[str]
+    client: Client, address: str, workers: Dict[str, Dict[str, Any]], *, read: Sequence[str], folders: Sequence[str]
 ) -> None:
     """Raise ClusterError with the first machine and path that a worker sees differently from this machine."""
     files = {}
@@ -262,7 +270,7 @@ def _require_shared(
             with open(probe, "w", encoding="ascii") as stream:
                 stream.write(text)
             probes[probe] = text
-        answers = _ask(client, _unusable_here, files, probes)
+        answers = _ask(client, address, _unusable_here, files, probes)
     finally:
         for probe in probes:
             with suppress(OSError):
@@ -343,16 +351,12 @@ class _ClusterWorkers:
             return False
         if future.status == "error":
             raise result
-        raise self._gone()
-
-    def _gone(self) -> ClusterError:
-        remedy = "start it again and run again: what is finished is kept"
-        return ClusterError(f"The scheduler of the cluster at '{self._address}' has ended: {remedy}.")
+        raise _gone(self._address)
 
     def _look(self, progress: Progress) -> None:
         """Check that the scheduler runs, and report where there is no worker."""
         if self._client.status != "running":
-            raise self._gone()
+            raise _gone(self._address)
         if not self._client.nthreads():
             progress.warn(f"The cluster at '{self._address}' has no workers at the moment: this run waits for one.")
 

@@ -156,12 +156,29 @@ def test_a_scheduler_that_dies_ends_the_run_in_a_sentence(start_cluster, on):
     assert time.monotonic() - start < 15
 
 
+def test_a_scheduler_that_dies_while_workers_are_asked_is_the_same_sentence(start_cluster, on, monkeypatch):
+    from repm_qgis.runtime import cluster as cluster_module  # Dask may be missing
+
+    cluster = start_cluster()
+    block, _ = on(cluster)
+    ask = cluster_module._require_shared
+
+    def killed_before(*arguments, **named):
+        cluster.scheduler.kill()
+        cluster.scheduler.wait()
+        return ask(*arguments, **named)
+
+    monkeypatch.setattr(cluster_module, "_require_shared", killed_before)
+    with pytest.raises(ClusterError, match="The scheduler of the cluster at '.*' has ended: start it again"), block:
+        pass
+
+
 @pytest.mark.parametrize(
     "address, words",
     (
         ("tcp://127.0.0.1:1", "No Dask scheduler answers at 'tcp://127.0.0.1:1'"),
         ("nonsense", "CLUSTER 'nonsense' is neither a file nor an address"),
-        ("tls://127.0.0.1:1", "The cluster at 'tls://127.0.0.1:1' requires encryption (TLS): give the scheduler file"),
+        ("tls://127.0.0.1:1", "The cluster at 'tls://127.0.0.1:1' requires encryption .TLS.: give the scheduler file"),
         ("foo://x", "No Dask scheduler answers at 'foo://x'"),
         ("empty.json", "No Dask scheduler answers at '.*empty.json' .it holds no address"),
     ),
