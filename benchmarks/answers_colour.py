@@ -22,7 +22,7 @@ from repm_qgis.contracts.options import DsmFuseOptions
 from repm_qgis.fusion.finished import FinishedSurface
 from repm_qgis.geometry.vertical import HeightDatum
 from repm_qgis.imagery.raster import opened, read
-from repm_qgis.ortho.colour_ortho import ColourTask
+from repm_qgis.ortho.colour_blocks import ColourTask
 from repm_qgis.ortho.colour_sources import colour_plan
 from repm_qgis.ortho.parameters import ORTHO
 from repm_qgis.ortho.seen_surface import SeenSurface
@@ -58,7 +58,7 @@ def _sharpening() -> List[str]:
         made = {}
         for name, pansharpen in (("pansharpened", True), ("resampled", False)):
             paths = {"output": f"{work}/{name}_dsm.tif", "ortho": f"{work}/{name}.tif"}
-            more = {"colour": "all", "pansharpen": pansharpen, "resolution": 0.5}
+            more = {"colour": "all", "pansharpen": pansharpen, "resolution": 0.5, "ortho_resolution": 0.5}
             made[name] = stage("dsmfuse", scene=f"{work}/w/reconstructed.json", **paths, **more)["ortho"]
         rows = _against_truth(made, truth)
     headers = "band | mean, pansharpened : resampled | median error, pansharpened, % | resampled, % | correlation "
@@ -102,12 +102,12 @@ def _town() -> List[str]:
     with tempfile.TemporaryDirectory() as work:
         pipeline(images, work, resolution=0.5)
         scene = f"{work}/w/reconstructed.json"
-        costs, made = [], {}
+        costs, made, cells = [], {}, {"resolution": 0.5, "ortho_resolution": 0.5}
         for colour in ("greys", "auto"):
             made[colour] = f"{work}/{colour}.tif"
             paths = {"scene": scene, "output": f"{work}/{colour}_dsm.tif", "ortho": made[colour]}
             job = Path(work, "job.json")
-            job.write_text(json.dumps({**paths, "resolution": 0.5, "colour": colour, "workers": 1}), encoding="utf-8")
+            job.write_text(json.dumps({**paths, **cells, "colour": colour, "workers": 1}), encoding="utf-8")
             costs.append(measured([sys.executable, "-m", "repm_qgis", "dsmfuse", str(job)], str(ROOT))[1])
         cells = int(np.isfinite(_bands(made["auto"])[0]).sum()) / 1e6
         rows = [_registration(name, made[name], f"{work}/auto_dsm.tif") for name in made]
@@ -159,7 +159,8 @@ def _views_apart(scene_path: str, dsm: str) -> np.ndarray:
     scene = Scene.load(scene_path)
     plan = colour_plan(scene, DsmFuseOptions(scene=scene_path, output=dsm), Silent(), ORTHO.sharpening)
     surface = FinishedSurface.of(dsm, scene.crs, HeightDatum.of(""))
-    task = ColourTask(plan, SeenSurface(surface, 0.0, ORTHO.reach_cells), 1, ORTHO, Window(0, 0, 0, 0))
+    seen = SeenSurface.of(surface, [source.view for source in plan.sources])
+    task = ColourTask(plan, seen, 1, ORTHO, Window(0, 0, 0, 0))
     whole = Window(0, 0, *surface.grid.size)
     heights = surface.heights(whole)
     own = [task.colours(source, whole, heights).mean(axis=0) for source in plan.sources[:5]]

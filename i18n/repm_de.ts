@@ -1620,6 +1620,14 @@
         <translation>Hat das DOM mehr Zellen, hat das Netz auf ebenem Boden und auf Dächern weniger Knoten als an deren Kanten. Es hat etwa zwei Dreiecke je Knoten: 500000 ergeben eine Million. 0: einer je Zelle.</translation>
     </message>
     <message>
+        <source>Orthophoto resolution (m)</source>
+        <translation>Auflösung des Orthophotos (m)</translation>
+    </message>
+    <message>
+        <source>Cell size in units of the CRS, not coarser than the DSM's. 0: the ground sampling distance of the finest image. Half the size takes four times as long to make, and four times the space.</source>
+        <translation>Zellgröße in Einheiten des KBS, nicht gröber als die des DOM. 0: die Bodenauflösung des feinsten Bildes. Die halbe Größe braucht viermal so lange und viermal so viel Platz.</translation>
+    </message>
+    <message>
         <source>Colours of orthophoto, point cloud and mesh</source>
         <translation>Farben von Orthophoto, Punktwolke und Netz</translation>
     </message>
@@ -1752,8 +1760,8 @@
         <translation>Orthophoto</translation>
     </message>
     <message>
-        <source>The images in map geometry, on the cells of the DSM, in colour where the images have colours.</source>
-        <translation>Die Bilder in Kartengeometrie, auf den Zellen des DOM, farbig, wo die Bilder Farben haben.</translation>
+        <source>The images in map geometry at their own resolution, in colour where the images have colours.</source>
+        <translation>Die Bilder in Kartengeometrie mit ihrer eigenen Auflösung, farbig, wo die Bilder Farben haben.</translation>
     </message>
     <message>
         <source>Water</source>
@@ -2209,8 +2217,8 @@
         <translation>Oberfläche</translation>
     </message>
     <message>
-        <source>Colours, point cloud and mesh</source>
-        <translation>Farben, Punktwolke und Netz</translation>
+        <source>Orthophoto, colours, point cloud and mesh</source>
+        <translation>Orthophoto, Farben, Punktwolke und Netz</translation>
     </message>
     <message>
         <source>WGS 84 ellipsoid</source>

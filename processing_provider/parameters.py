@@ -643,8 +643,19 @@ def fusion() -> list[QgsProcessingParameterDefinition]:
 
 
 def colours() -> list[QgsProcessingParameterDefinition]:
-    """The colours of orthophoto, clouds and mesh."""
+    """The orthophoto's cells, and the colours of orthophoto, clouds and mesh."""
     return [
+        advanced(
+            number(
+                DsmFuseOptions,
+                "ortho_resolution",
+                tr("Orthophoto resolution (m)"),
+                tr(
+                    "Cell size in units of the CRS, not coarser than the DSM's. 0: the ground sampling distance of the "
+                    "finest image. Half the size takes four times as long to make, and four times the space."
+                ),
+            )
+        ),
         choice(
             DsmFuseOptions,
             "colour",

@@ -67,8 +67,8 @@ def groups() -> list[tuple[str, tuple[str, ...]]]:
         (_tr("Matching"), ("PAIRS", "POINTING", "ADJUSTMENT", "BACKEND")),
         (_tr("Surface"), ("METHOD", "FILL", "WATER", "OUTLIER_RADIUS")),
         (
-            _tr("Colours, point cloud and mesh"),
-            ("COLOUR", "XS", "PANSHARPEN", "CLOUD_NORMALS", "MESH_VERTICES"),
+            _tr("Orthophoto, colours, point cloud and mesh"),
+            ("ORTHO_RESOLUTION", "COLOUR", "XS", "PANSHARPEN", "CLOUD_NORMALS", "MESH_VERTICES"),
         ),
     ]
 
@@ -82,6 +82,7 @@ def hints() -> dict[str, str]:
         "VIEW": _tr("the first"),
         "TILE": _tr("all"),
         "RESOLUTION": automatic,
+        "ORTHO_RESOLUTION": automatic,
         "TILE_SIZE": automatic,
         "OUTLIER_RADIUS": _tr("off"),
         "MESH_VERTICES": _tr("one for each cell"),

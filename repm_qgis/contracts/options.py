@@ -416,11 +416,12 @@ class DsmFuseOptions(Options):
     to the level of its shore; ``water_mask`` says where it is. ``outlier_radius`` in metres, 0 = off.
     ``confidence``, ``ortho``, ``cloud``, ``mesh``, ``viewer`` (a page for the browser), ``stac`` (an item for
     catalogues): files to write, None = not wanted; ``ept`` is a folder, and ``view_heights`` one for the DSM of each
-    pair alone. ``mesh_vertices``: at most so
-    many in the mesh, 0 = one a cell. ``colour`` of orthophoto, clouds and mesh: ``auto``, the natural ones where the
-    images or ``xs`` have them; ``greys``; ``all``, all their bands. ``xs`` are multispectral images beside panchromatic
-    ones, in any order; empty: those that lie beside the images under the vendors' names. ``pansharpen`` gives them the
-    detail of the panchromatic images. ``cloud_normals`` gives the points of ``cloud`` normals. ``memory`` and
+    pair alone. ``ortho_resolution`` are the orthophoto's cells, in units of the CRS, 0 = the ground sampling distance
+    of the finest image that it shows. ``mesh_vertices``: at most so many in the mesh, 0 = one a cell. ``colour`` of
+    orthophoto, clouds and mesh: ``auto``, the natural ones where the images or ``xs`` have them; ``greys``; ``all``,
+    all their bands. ``xs`` are multispectral images beside panchromatic ones, in any order; empty: those that lie
+    beside the images under the vendors' names. ``pansharpen`` gives them the detail of the panchromatic images.
+    ``cloud_normals`` gives the points of ``cloud`` normals. ``memory`` and
     ``cluster`` as in ``ReconstructOptions``.
     """
 
@@ -450,6 +451,7 @@ class DsmFuseOptions(Options):
     xs: Tuple[str, ...] = read(())
     pansharpen: bool = switch(True)
     cloud_normals: bool = switch(False)
+    ortho_resolution: float = number(0.0, 0.01, 1000, "m", automatic=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()

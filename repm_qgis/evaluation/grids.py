@@ -78,6 +78,11 @@ class Grid:
         """Whether columns run east and rows run south, neither turned nor mirrored."""
         return not self.is_turned and self.transform[1] > 0 > self.transform[5]
 
+    @property
+    def flat(self) -> Grid:
+        """The same cells without a vertical datum: for values that are no heights."""
+        return replace(self, wkt=flat_crs(self.crs).to_wkt("WKT2_2019")) if self.wkt else self
+
     def to_ground(self, column: Any, row: Any) -> Tuple[Any, Any]:
         """Ground x, y of places (numbers or arrays): (0, 0) is the first cell's outer corner, (0.5, 0.5) its centre."""
         a, b, c, d, e, f = self.transform

@@ -62,7 +62,7 @@ def write_item(path: str, scene: Scene, products: Mapping[str, Tuple[str, str]])
         place = _place(dataset)
         outline = _outline(dataset)
     assets = {
-        option: _asset(option, title, file, folder)
+        option: _asset(option, title, file, folder=folder, place=place)
         for option, (title, file) in products.items()
         if file and os.path.isfile(file)
     }
@@ -117,7 +117,8 @@ def _outline(dataset: gdal.Dataset) -> FloatArray:
     return rounded
 
 
-def _asset(option: str, title: str, file: str, folder: str) -> Dict[str, Any]:
+def _asset(option: str, title: str, file: str, *, folder: str, place: Dict[str, Any]) -> Dict[str, Any]:
+    """A file with its bands, and its own fields of the item's ``place`` where its cells are others."""
     kind = _KINDS.get(Path(file).suffix.lower())
     asset: Dict[str, Any] = {
         "href": f"./{Path(os.path.relpath(os.path.abspath(file), folder)).as_posix()}",
@@ -129,6 +130,9 @@ def _asset(option: str, title: str, file: str, folder: str) -> Dict[str, Any]:
     if kind == _COG:
         with opened(file) as dataset:
             asset["raster:bands"] = _bands(dataset)
+            own = _place(dataset)
+        cells = ("proj:shape", "proj:transform", "proj:bbox")
+        asset.update({name: own[name] for name in cells if own[name] != place[name]})
     return asset
 
 

@@ -39,11 +39,12 @@ def orthophoto(
     crs: str,
     parameters: VisibilityParameters = FUSION.visibility,
     seen: Optional[Callable[[View], Mask]] = None,
+    kernel: str = "bilinear",
 ) -> FloatImage:
     """Intensity of each cell from the first of ``views`` that sees it; NaN where none does, or without a height.
 
     ``seen`` says which cells a view sees, where more of the surface is known than the grid; without it, only objects on
-    the grid hide cells.
+    the grid hide cells. ``kernel`` is how pixels are interpolated.
     """
     result = np.full(grid.shape, np.nan, dtype=np.float32)
     if not np.isfinite(height).any():
@@ -54,7 +55,7 @@ def orthophoto(
             break
         with opened_masked(view.image, view.mask) as dataset:
             pixels = pixels_on(view, grid, height, crs, parameters)
-            values = sample_source(dataset, view.band, pixels, "bilinear")
+            values = sample_source(dataset, view.band, pixels, kernel)
         open_cells &= np.isfinite(values)
         if open_cells.any():  # the visibility test takes longest
             open_cells &= (
@@ -122,23 +123,42 @@ def blocked(
 ) -> Mask:
     """(H, W) cells whose ray to the satellite meets a higher part of the surface on its way up; ``slope`` is as of
     :func:`slope_over`. Objects more than ``most_cells`` away block nothing."""
-    steepness = float(np.linalg.norm(slope))
     blocked = np.zeros(grid.shape, dtype=bool)
+    for here, there, rise in _way_up(slope, grid, height, most_cells):
+        ray = height[here] + rise + clearance_m
+        with np.errstate(invalid="ignore"):
+            blocked[here] |= height[there] > ray
+    return blocked
+
+
+def horizon(slope: FloatArray, grid: CellGrid, height: Floats, most_cells: Optional[int] = None) -> Floats:
+    """(H, W) the height below which the surface around a cell hides a point of it, in the unit of the heights; that of
+    the lowest cell where nothing does. Arguments as of :func:`blocked`; unlike its answer, it lies smoothly between
+    cells."""
+    known = np.where(np.isfinite(height), height, -np.inf)
+    found = np.full(grid.shape, float(np.nanmin(height)))
+    for here, there, rise in _way_up(slope, grid, height, most_cells):
+        np.maximum(found[here], known[there] - rise, out=found[here])
+    return found
+
+
+def _way_up(
+    slope: FloatArray, grid: CellGrid, height: Floats, most_cells: Optional[int]
+) -> Iterator[Tuple[Tuple[slice, slice], Tuple[slice, slice], float]]:
+    """Step by step towards the satellite: some cells, those over which their rays pass, and by how much these rise."""
+    steepness = float(np.linalg.norm(slope))
     relief = float(np.nanmax(height) - np.nanmin(height))
     reach = int(relief * steepness / grid.cell) + 1
     if steepness < 1e-3:
-        return blocked
+        return
     rows, columns = grid.shape
     for step in range(1, min(reach, most_cells or max(rows, columns)) + 1):
         # One cell nearer to the satellite, the ray is cell / steepness metres higher.
         dc = int(round(step * slope[0] / steepness))
         dr = -int(round(step * slope[1] / steepness))
-        rise = math.hypot(dr, dc) * grid.cell / steepness
         r0, r1 = max(0, -dr), min(rows, rows - dr)
         c0, c1 = max(0, -dc), min(columns, columns - dc)
         if r0 >= r1 or c0 >= c1:
-            break
-        ray = height[r0:r1, c0:c1] + rise + clearance_m
-        with np.errstate(invalid="ignore"):
-            blocked[r0:r1, c0:c1] |= height[r0 + dr : r1 + dr, c0 + dc : c1 + dc] > ray
-    return blocked
+            return
+        here, there = (slice(r0, r1), slice(c0, c1)), (slice(r0 + dr, r1 + dr), slice(c0 + dc, c1 + dc))
+        yield here, there, math.hypot(dr, dc) * grid.cell / steepness

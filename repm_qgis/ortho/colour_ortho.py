@@ -8,50 +8,25 @@ whole DSM around the block, not at its tile only. The result does not depend on 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Callable, List, Tuple
+from dataclasses import replace
+from typing import Callable, Tuple
 
 import numpy as np
 
-from ..contracts.arrays import FloatArray, FloatImage, Floats, Window
+from ..contracts.arrays import FloatArray, FloatImage, Window
 from ..contracts.options import DsmFuseOptions
 from ..fusion.finished import FinishedSurface
 from ..geometry.cell_grid import overlapping_blocks
-from ..geometry.footprints import ray_slope
-from ..geometry.frames import geodetic_from_projected
 from ..runtime.memory import Work, colouring_mib, workers_within
 from ..runtime.parallel import run_tasks
 from ..runtime.progress import Part, Progress, counted
-from ..runtime.workspace import ensure_folder, writing
+from ..runtime.workspace import ensure_folder
 from .colour_balance import balanced, contrasts
-from .colour_sources import ColourPlan, ColourSource
+from .colour_blocks import ColourTask, Parts, block, choice, finer_block, samples
+from .colour_sources import ColourPlan
 from .pansharpening import Multispectral, fitted
 from .parameters import ORTHO, OrthoParameters
 from .seen_surface import Blocks, SeenSurface, write_blocks
-from .view_choice import chosen_views, feathered_colours
-
-
-@dataclass(frozen=True)
-class ColourTask:
-    """What a worker needs to make one block: the surface, and the ``own`` cells of the block.
-
-    Each ``step``-th cell is compared between views; ``contrast`` is the unit of their differences; ``path`` is where
-    the block's colours are kept.
-    """
-
-    plan: ColourPlan
-    surface: SeenSurface
-    step: int
-    parameters: OrthoParameters
-    own: Window
-    contrast: Tuple[float, ...] = ()
-    path: str = ""
-
-    def colours(self, source: ColourSource, window: Window, height: Floats, step: int = 1) -> FloatImage:
-        """(B, H, W) colours of every ``step``-th cell of a window of these heights; NaN where the view sees none."""
-        dsm, visibility = self.surface.dsm, self.surface.parameters
-        found = source.colours(dsm.grid.part(window), height, dsm.layout.crs, visibility, step)
-        return np.where(self.surface.seen(source.view, window, height)[::step, ::step], found, np.float32(np.nan))
 
 
 def make_colour_ortho(
@@ -62,17 +37,18 @@ def make_colour_ortho(
     path: str,
     folder: str,
     progress: Progress,
+    cell: float = 0.0,
     parameters: OrthoParameters = ORTHO,
     require_same: Callable[[], None] = lambda: None,
 ) -> None:
-    """Write the orthophoto of a finished DSM on its cells.
+    """Write the orthophoto of a finished DSM on cells of a side (m, 0 for the DSM's own).
 
     ``folder`` is for blocks; ``require_same`` is called when all pixels are read, before the file is made. Raises
     OverlapError for a multispectral image that shows nothing of its panchromatic one, WorkspaceError where the file
     cannot be written.
     """
     numbers = parameters.colour
-    surface = SeenSurface.of(dsm, [source.view for source in plan.sources], parameters)
+    surface = SeenSurface.of(dsm, [source.view for source in plan.sources], parameters, cell)
     side = parameters.block_cells + 2 * numbers.halo_cells
     takes = colouring_mib(side**2, numbers.most_views, len(plan.names))
     work = Work("one block of the orthophoto in colour", takes, lambda _: "choose COLOUR=greys")
@@ -80,19 +56,19 @@ def make_colour_ortho(
     plan = _sharpened(plan, surface.level, workers, Part(progress, 0.0, 0.1), parameters)
     size = dsm.grid.size
     step = max(1, math.ceil(math.sqrt(size[0] * size[1] / parameters.balance.samples)))
-    whole = ColourTask(plan, surface, step, parameters, Window(0, 0, 0, 0))
+    # Colours are compared on the DSM's cells: what balances them does not depend on the orthophoto's.
+    whole = ColourTask(plan, surface.on_dsm(), step, parameters, Window(0, 0, 0, 0))
     tasks = [replace(whole, own=own) for own, _ in overlapping_blocks(size, parameters.block_cells)]
-    sampled = run_tasks(_samples, tasks, workers, Part(progress, 0.1, 0.4), lambda _: "comparing the views' colours")
+    sampled = run_tasks(samples, tasks, workers, Part(progress, 0.1, 0.4), lambda _: "comparing the views' colours")
     plan, contrast = _balanced(plan, np.concatenate(sampled), progress, parameters)
     ensure_folder(folder)
-    tasks = [
-        replace(task, plan=plan, contrast=contrast, path=f"{folder}/colours_{index}.npy")
-        for index, task in enumerate(tasks)
-    ]
-    run_tasks(_block, tasks, workers, Part(progress, 0.4, 0.95), lambda _: "taking colours")
-    parts = tuple((task.own, task.path) for task in tasks)
+    whole = replace(whole, plan=plan, contrast=contrast)
+    if surface.cells.same:
+        parts = _made(block, whole, folder, workers, Part(progress, 0.4, 0.95))
+    else:
+        parts = _finer(whole, surface, folder, workers=workers, progress=Part(progress, 0.4, 0.95))
     require_same()
-    write_blocks(path, Blocks(dsm, parts, plan.names, plan.kind, plan.nodata, plan.natural), progress)
+    write_blocks(path, Blocks(dsm, surface.grid, parts, plan.names, plan.kind, plan.nodata, plan.natural), progress)
 
 
 def _sharpened(
@@ -123,72 +99,51 @@ def _fit(work: Tuple[Multispectral, float, OrthoParameters]) -> Multispectral:
     return fitted(pair, level, parameters.sharpening)
 
 
-def _samples(task: ColourTask) -> FloatImage:
-    """(N, views, bands) colours of every ``step``-th cell of a block that two views see."""
-    height = task.surface.dsm.heights(task.own)
-    shape = 0, len(task.plan.sources), len(task.plan.names)
-    if not np.isfinite(height).any():
-        return np.empty(shape, np.float32)
-    found = [task.colours(source, task.own, height, task.step) for source in task.plan.sources]
-    samples = np.stack(found).reshape(*shape[1:], -1).transpose(2, 0, 1)
-    shared: FloatImage = samples[np.isfinite(samples[..., 0]).sum(axis=1) > min(1, shape[1] - 1)]
-    return shared
-
-
 def _balanced(
-    plan: ColourPlan, samples: FloatImage, progress: Progress, parameters: OrthoParameters
+    plan: ColourPlan, found: FloatImage, progress: Progress, parameters: OrthoParameters
 ) -> Tuple[ColourPlan, Tuple[float, ...]]:
     """The plan with the gains and offsets of each view, and the contrast of the balanced colours."""
-    gains, offsets = balanced(samples, parameters.balance)
+    gains, offsets = balanced(found, parameters.balance)
     if len(plan.sources) > 1:
         ends = f"{gains.min():.2f} to {gains.max():.2f}"
         progress.info(f"Colours of {counted(len(plan.sources), 'view')} balanced: gains of {ends}.")
     sources = [replace(s, gains=tuple(g), offsets=tuple(o)) for s, g, o in zip(plan.sources, gains, offsets)]
-    contrast: FloatArray = contrasts(samples * gains.astype(np.float32) + offsets.astype(np.float32))
+    contrast: FloatArray = contrasts(found * gains.astype(np.float32) + offsets.astype(np.float32))
     return replace(plan, sources=tuple(sources)), tuple(map(float, contrast))
 
 
-def _block(task: ColourTask) -> str:
-    """Write the colours of a block's own cells into a file of its own."""
-    numbers, dsm = task.parameters.colour, task.surface.dsm
-    wide = task.own.grown(numbers.halo_cells, dsm.grid.size)
-    height = dsm.heights(wide)
-    inner = task.own.inside(wide)
-    found = np.full((len(task.plan.names), *height.shape), np.nan, np.float32)
-    chosen, colours, others = _candidates(task, wide, height) if np.isfinite(height).any() else ([], [], found)
-    if chosen:
-        middle = geodetic_from_projected(dsm.layout.crs, np.array(dsm.grid.part(wide).middle))
-        level = float(np.nanmedian(height))
-        steepness = [float(np.linalg.norm(ray_slope(source.view, middle, level))) for source in chosen]
-        stack, contrast, seams = np.stack(colours), np.array(task.contrast), task.parameters.seams
-        found = feathered_colours(stack, chosen_views(stack, steepness, contrast, seams), contrast, seams)
-        found = np.where(np.isfinite(found), found, others)
-    with writing(task.path):
-        np.save(task.path, task.plan.stored(found[(slice(None), *inner)]))
-    return task.path
+def _made(work: Callable[[ColourTask], str], whole: ColourTask, folder: str, workers: int, progress: Progress) -> Parts:
+    """The parts that blocks of a task's cells are made of, one after the other or side by side."""
+    windows = [own for own, _ in overlapping_blocks(whole.surface.grid.size, whole.parameters.block_cells)]
+    tasks = [replace(whole, own=own, path=f"{folder}/colours_{index}.npy") for index, own in enumerate(windows)]
+    if whole.chosen:
+        tasks = [replace(task, chosen=_near(task)) for task in tasks]
+    run_tasks(work, tasks, workers, progress, lambda _: "taking colours")
+    return tuple((task.own, task.path) for task in tasks)
 
 
-def _candidates(
-    task: ColourTask, window: Window, height: Floats
-) -> Tuple[List[ColourSource], List[FloatImage], FloatImage]:
-    """The views of a block among which each cell can choose, from the most vertical one on, with their colours; and
-    (B, H, W) the colours of cells that none of these sees, but another view does."""
-    numbers = task.parameters.colour
-    missing = np.isfinite(height)
-    worthwhile = numbers.worthwhile * missing.sum()
-    chosen: List[ColourSource] = []
-    colours: List[FloatImage] = []
-    others = np.full((len(task.plan.names), *height.shape), np.nan, np.float32)
-    for source in task.plan.sources:
-        if len(chosen) >= numbers.least_views and not missing.any():
-            break
-        found = task.colours(source, window, height)
-        shown = np.isfinite(found[0])
-        few = len(chosen) < numbers.least_views and shown.any()
-        if few or (len(chosen) < numbers.most_views and (shown & missing).sum() > worthwhile):
-            chosen.append(source)
-            colours.append(found)
-        else:
-            others = np.where(shown & missing, found, others)
-        missing &= ~shown
-    return chosen, colours, others
+def _near(task: ColourTask) -> Parts:
+    """What was chosen around a block's cells, which are finer than the DSM's."""
+    grid = task.surface.dsm.grid
+    return _beside(task.surface.cells.around(task.own).grown(task.parameters.colour.halo_cells, grid.size), task.chosen)
+
+
+def _beside(window: Window, parts: Parts) -> Parts:
+    """The parts that have some of a window's cells."""
+    return tuple((own, path) for own, path in parts if own.common(window) is not None)
+
+
+def _finer(whole: ColourTask, surface: SeenSurface, folder: str, *, workers: int, progress: Progress) -> Parts:
+    """The parts on cells that are finer than the DSM's, whose views are chosen on the DSM's cells."""
+    side, halo = whole.parameters.block_cells, whole.parameters.colour.halo_cells
+    windows = [own for own, _ in overlapping_blocks(surface.dsm.grid.size, side)]
+    chosen: Parts = ()
+    # Blocks as the fields of a chessboard: the black ones choose by themselves, the white ones go on from these, so
+    # that seams run where views agree and not along the blocks' borders.
+    for first, last, white in ((0.0, 0.15, 0), (0.15, 0.3, 1)):
+        own = [window for window in windows if (window.col // side + window.row // side) % 2 == white]
+        tasks = [replace(whole, own=each, path=f"{folder}/views_{each.row}_{each.col}.npy") for each in own]
+        tasks = [replace(task, chosen=_beside(task.own.grown(halo, surface.dsm.grid.size), chosen)) for task in tasks]
+        run_tasks(choice, tasks, workers, Part(progress, first, last), lambda _: "choosing views")
+        chosen += tuple((task.own, task.path) for task in tasks)
+    return _made(finer_block, replace(whole, surface=surface, chosen=chosen), folder, workers, Part(progress, 0.3, 1.0))

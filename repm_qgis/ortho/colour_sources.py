@@ -58,6 +58,12 @@ class ColourSource:
         return self.view.image if self.multispectral is None else self.multispectral.image.image
 
     @property
+    def gsd_m(self) -> float:
+        """The ground sampling distance of the detail that its colours have."""
+        pair = self.multispectral
+        return self.view.gsd_m if pair is None or self.sharpened else pair.image.gsd_m
+
+    @property
     def files(self) -> List[str]:
         """The images that are read."""
         return [self.view.image] if self.multispectral is None else [self.view.image, self.coloured]
@@ -70,17 +76,18 @@ class ColourSource:
         visibility: VisibilityParameters,
         step: int = 1,
         balanced: bool = True,
+        kernel: str = "bilinear",
     ) -> FloatImage:
         """(B, H, W) colours of every ``step``-th row and column of cells, whether the view sees them or not; NaN
-        outside the image and without a height (above the ellipsoid, m)."""
-        found = self._sampled(grid, height, crs, visibility, step)
+        outside the image and without a height (above the ellipsoid, m). ``kernel`` is how pixels are interpolated."""
+        found = self._sampled(grid, height, crs, visibility, step=step, kernel=kernel)
         if balanced and self.gains:
             gains, offsets = (np.array(each, np.float32)[:, None, None] for each in (self.gains, self.offsets))
             found = found * gains + offsets
         return np.where(np.isfinite(found).all(axis=0), found, np.float32(np.nan))
 
     def _sampled(
-        self, grid: CellGrid, height: Floats, crs: str, visibility: VisibilityParameters, step: int
+        self, grid: CellGrid, height: Floats, crs: str, visibility: VisibilityParameters, *, step: int, kernel: str
     ) -> FloatImage:
         def pixels(camera: View | Multispectral) -> FloatArray:
             return pixels_on(camera, grid, height, crs, visibility)[::step, ::step]
@@ -89,12 +96,12 @@ class ColourSource:
         pair = self.multispectral
         with opened_masked(self.view.image, self.view.mask) as dataset:
             if pair is None:
-                return np.stack([sample_source(dataset, band, own, "bilinear") for band in self.bands])
-            pan = sample_source(dataset, self.view.band, own, "bilinear")
+                return np.stack([sample_source(dataset, band, own, kernel) for band in self.bands])
+            pan = sample_source(dataset, self.view.band, own, kernel)
         places = pixels(pair)
         with opened(pair.image.image) as dataset:
             read = pair.bands if self.sharpened else self.bands
-            values = np.stack([sample_source(dataset, band, places, "bilinear") for band in read])
+            values = np.stack([sample_source(dataset, band, places, kernel) for band in read])
         if self.sharpened:
             values = brovey(values, pan, pair.weights)[[pair.bands.index(band) for band in self.bands]]
         # What the panchromatic view's mask excludes has no colour either.

@@ -43,10 +43,12 @@ def make_grey_ortho(
     path: str,
     folder: str,
     progress: Progress,
+    cell: float = 0.0,
     parameters: OrthoParameters = ORTHO,
     require_same: Callable[[], None] = lambda: None,
 ) -> None:
-    """Write the orthophoto of a finished DSM on its cells, from ``views``, the most vertical one first.
+    """Write the orthophoto of a finished DSM from ``views``, the most vertical one first, on cells of a side (m, 0 for
+    the DSM's own).
 
     ``folder`` is for blocks; ``require_same`` is called when all pixels are read, before the file is made. Raises
     ImageError where a view cannot be read, WorkspaceError where the file cannot be written.
@@ -54,23 +56,25 @@ def make_grey_ortho(
     side = parameters.block_cells
     work = Work("one block of the orthophoto", colouring_mib(side**2, 1, 1), lambda _: "do without ORTHO")
     workers = workers_within(options.workers, work, options.memory, progress)
-    whole = GreyTask(tuple(views), SeenSurface.of(dsm, views, parameters), Window(0, 0, 0, 0), "")
+    surface = SeenSurface.of(dsm, views, parameters, cell)
+    whole = GreyTask(tuple(views), surface, Window(0, 0, 0, 0), "")
     ensure_folder(folder)
     tasks = [
         replace(whole, own=own, path=f"{folder}/greys_{index}.npy")
-        for index, (own, _) in enumerate(overlapping_blocks(dsm.grid.size, side))
+        for index, (own, _) in enumerate(overlapping_blocks(surface.grid.size, side))
     ]
     run_tasks(_block, tasks, workers, progress, lambda _: "taking greys")
     parts = tuple((task.own, task.path) for task in tasks)
     require_same()
-    write_blocks(path, Blocks(dsm, parts, ("brightness",)), progress)
+    write_blocks(path, Blocks(dsm, surface.grid, parts, ("brightness",)), progress)
 
 
 def _block(task: GreyTask) -> None:
     """Write the brightness of a block's cells into its file."""
-    dsm, numbers = task.surface.dsm, task.surface.parameters
-    height = dsm.heights(task.own)
-    seen = partial(task.surface.seen, window=task.own, height=height)
-    found = orthophoto(task.views, dsm.grid.part(task.own), height, dsm.layout.crs, numbers, seen)
+    surface, own = task.surface, task.own
+    height = surface.heights(own)
+    seen = partial(surface.seen, window=own, height=height)
+    part, crs, numbers = surface.grid.part(own), surface.dsm.layout.crs, surface.parameters.visibility
+    found = orthophoto(task.views, part, height, crs, numbers, seen, surface.kernel)
     with writing(task.path):
         np.save(task.path, found[None])

@@ -7,6 +7,7 @@ from typing import Tuple
 
 from ..contracts.parameters import Parameters
 from ..fusion.parameters import VisibilityParameters
+from ..geometry.parameters import GriddingParameters
 
 
 @dataclass(frozen=True)
@@ -69,12 +70,15 @@ class OrthoParameters(Parameters):
     """From a finished DSM and its images to orthophotos."""
 
     visibility: VisibilityParameters = VisibilityParameters()
+    gridding: GriddingParameters = GriddingParameters()
     colour: ColourParameters = ColourParameters()
     balance: BalanceParameters = BalanceParameters()
     seams: SeamParameters = SeamParameters()
     sharpening: PansharpeningParameters = PansharpeningParameters()
     block_cells: int = 512  # side of what is made at once; bounds the memory
-    reach_cells: int = 512  # how far away objects are tested for hiding a cell, at most
+    reach_cells: int = 512  # of the DSM; how far away objects are tested for hiding a cell, at most
+    kernel: str = "cubic"  # of pixels, where the orthophoto's cells are finer than the DSM's (`make bench-orthophoto`)
+    nested: float = 0.05  # of the images' GSD: so far may cells be from it that divide the DSM's; chosen
 
 
 ORTHO = OrthoParameters()

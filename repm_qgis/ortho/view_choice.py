@@ -9,7 +9,7 @@ matching, Hirschmueller 2008, IEEE TPAMI 30): a graph cut's minimum is lower, bu
 
 from __future__ import annotations
 
-from typing import Sequence
+from typing import Optional, Sequence
 
 import cv2
 import numpy as np
@@ -28,6 +28,7 @@ def chosen_views(
     steepness: Sequence[float],
     contrast: Floats,
     parameters: SeamParameters = ORTHO.seams,
+    held: Optional[Labels] = None,
 ) -> Labels:
     """The view of each cell.
 
@@ -36,6 +37,7 @@ def chosen_views(
     colours : (K, B, H, W) balanced, NaN where a view does not see a cell.
     steepness : (K,) how far each line of sight goes sideways, m for each m that it rises.
     contrast : (B,) the unit of differences.
+    held : the views of cells that were chosen before, -1 for the others, which go on from these.
     """
     seen = np.isfinite(colours[:, 0])
     labels = np.where(seen.any(axis=0), 0, -1).astype(np.int8)
@@ -43,6 +45,9 @@ def chosen_views(
         return labels
     scaled = colours / np.asarray(contrast, np.float32)[None, :, None, None]
     costs = _costs(scaled, seen, steepness, parameters)
+    if held is not None:
+        for view in range(len(colours)):
+            costs[..., view] += np.where((held >= 0) & (held != view), np.float32(parameters.hidden), np.float32(0))
     differences = _differences(scaled, seen, parameters)
     total = np.zeros_like(costs)
     for backwards in (False, True):

@@ -65,23 +65,29 @@ def heights_need(scene: Scene, pairs: Sequence[ViewPair], folder: str) -> Need:
 
 
 def fusion_needs(
-    scene: Scene, pairs: Sequence[ViewPair], options: DsmFuseOptions, cell: float, bands: int = 0
+    scene: Scene,
+    pairs: Sequence[ViewPair],
+    options: DsmFuseOptions,
+    cell: float,
+    *,
+    bands: int = 0,
+    ortho_cell: float = 0.0,
 ) -> List[Need]:
     """Fused tiles and products on cells of a side (m), without what an earlier run has left of the tiles.
 
-    ``bands`` are those of an orthophoto in colour, 0 for greys.
+    ``bands`` are those of an orthophoto in colour, 0 for greys; ``ortho_cell`` (m) its cells, 0 for the DSM's.
     """
+    finer = (cell / ortho_cell) ** 2 if ortho_cell else 1.0
     cells, points = _area(scene) / cell**2, seen_px(scene, pairs) if options.cloud or options.ept else 0.0
     folder = str(scene.path.parent)
     ortho = bands * _COLOURED if bands else _GREY_CELL if options.ortho or options.viewer else 0.0
     each = _POINT + (2 * _NORMAL if options.cloud and options.cloud_normals else 0.0)
-    between = cells * (_FUSED_CELL + _JOINED_CELL + ortho) + points * each
+    between = cells * (_FUSED_CELL + _JOINED_CELL + finer * ortho) + points * each
     needs = [_need(folder, between, size_of(str(folder_of(Path(options.scene), "fusion"))))]
     if options.fill == "all":
         needs.append(_need(folder, cells * _ALL_HEIGHTS))
     rasters = {**_RASTERS, "output": 2 * _RASTERS["output"]}  # the last to be copied in its final form
-    if bands:
-        rasters["ortho"] = bands * _COLOURED
+    rasters["ortho"] = finer * (bands * _COLOURED if bands else _RASTERS["ortho"])
     needs += [_need(getattr(options, name), cells * size) for name, size in rasters.items() if getattr(options, name)]
     if options.viewer:  # rasters that it drapes are temporary where they are no products
         temporary = [name for name in ("ortho", "confidence") if not getattr(options, name)]

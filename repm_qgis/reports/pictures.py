@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..contracts.arrays import ByteImage, FloatImage, Floats
+from ..contracts.arrays import ByteImage, FloatImage, Floats, Size
 from ..contracts.errors import ImageError
 from ..evaluation.grids import Grid, metres_per_unit
 from ..imagery import raster
@@ -161,15 +161,16 @@ def colour_limits(path: str | os.PathLike[str], band: int, max_px: int = 1200) -
     return (0.0, 255.0) if byte else percentile_range(preview(path, max_px, band)[0])
 
 
-def photograph(path: str | os.PathLike[str], max_px: int) -> ByteImage:
+def photograph(path: str | os.PathLike[str], max_px: int, size: Optional[Size] = None) -> ByteImage:
     """An orthophoto in its colours, or in greys where it has fewer than three bands, (rows, columns, 4); transparent
-    where it shows nothing. Raises ImageError where it cannot be read."""
+    where it shows nothing; of another picture's ``size`` (columns, rows) where that is given. Raises ImageError where
+    it cannot be read."""
     with raster.opened(os.fspath(path)) as dataset:
         bands = (1, 2, 3) if dataset.RasterCount >= 3 else (1, 1, 1)
     planes = []
     for band in bands:
         low, high = colour_limits(path, band)
-        planes.append((preview(path, max_px, band)[0] - low) / (high - low))
+        planes.append((preview(path, max_px, band, size=size)[0] - low) / (high - low))
     values = np.stack(planes, axis=-1)
     out = np.empty(values.shape[:2] + (4,), np.uint8)
     out[..., :3] = (255 * np.clip(np.nan_to_num(values), 0, 1)).round()
@@ -232,18 +233,19 @@ def _encoded(picture: NDArray[Any], driver: str, option: str) -> bytes:
 
 
 def preview(
-    path: str | os.PathLike[str], max_px: int, band: int = 1, nearest: bool = False
+    path: str | os.PathLike[str], max_px: int, band: int = 1, *, nearest: bool = False, size: Optional[Size] = None
 ) -> Tuple[FloatImage, float]:
     """Read a raster small, by averaging valid cells (from overviews where there are any), or by taking single ones.
 
-    Returns (rows, columns) with NaN for nodata, at most ``max_px`` on the longer side, and the size of its cells in
-    metres (1 where the raster has no place on the ground). Raises ImageError where the raster cannot be read.
+    Returns (rows, columns) with NaN for nodata, at most ``max_px`` on the longer side or of this ``size`` (columns,
+    rows), and the size of its cells in metres (1 where the raster has no place on the ground). Raises ImageError where
+    the raster cannot be read.
     """
     with raster.opened(os.fspath(path)) as dataset:
         columns, rows = dataset.RasterXSize, dataset.RasterYSize
-        factor = max(1.0, max(columns, rows) / float(max(1, max_px)))
-        size = (max(1, round(columns / factor)), max(1, round(rows / factor)))
-        values = raster.read(dataset, band=band, size=None if factor == 1 else size, nearest=nearest)
+        factor = columns / size[0] if size else max(1.0, max(columns, rows) / float(max(1, max_px)))
+        small = size or (max(1, round(columns / factor)), max(1, round(rows / factor)))
+        values = raster.read(dataset, band=band, size=None if small == (columns, rows) else small, nearest=nearest)
         per_unit = metres_per_unit(Grid.of(dataset))
         cell = abs(dataset.GetGeoTransform()[1]) * per_unit[0]
         return values, cell * factor

@@ -282,7 +282,9 @@ def _confidence(report: Report, path: Optional[str], ortho: str, dsm: str) -> No
     """How reliable the heights are, and where: over the orthophoto, or else over the shaded DSM."""
     if not path:
         return
-    base = pictures.photograph(ortho, 500) if ortho else pictures.grey_relief(*pictures.preview(dsm, 500))
+    relief, cell = pictures.preview(dsm, 500)
+    size = relief.shape[1], relief.shape[0]
+    base = pictures.photograph(ortho, 500, size) if ortho else pictures.grey_relief(relief, cell)
     kinds = next(style.classes for style in STYLES if style.kind == "confidence_source")
     with opened(path) as dataset:
         titles = [dataset.GetRasterBand(band + 1).GetDescription() for band in range(dataset.RasterCount)]

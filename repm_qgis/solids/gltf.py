@@ -34,7 +34,7 @@ def write_glb(path: str, lattice: Lattice, vertices: int, faces: int) -> None:
     """
     origin = middle(lattice)
     low, high = _bounds(lattice, origin)
-    image = picture(lattice.dataset, lattice.paint) if lattice.paint is not None else None
+    image = picture(lattice.paint) if lattice.paint is not None else None
     sizes = [vertices * _POSITION, vertices * _PLACE if image else 0, faces * _CORNERS, len(image or b"")]
     document = _padded(json.dumps(_document(lattice, origin, (low, high), sizes, bool(image))).encode("ascii"), b" ")
     body = _even(sum(sizes))

@@ -76,7 +76,7 @@ class Lattice:
             return None
         width = self.dataset.RasterXSize
         rows = min((len(block) - 1) * self.step + 1, self.dataset.RasterYSize - first * self.step)
-        cells = self.paint.cells(Window(0, first * self.step, width, rows))
+        cells = self.paint.on(self.dataset, Window(0, first * self.step, width, rows))
         painted: Colours = cells[:: self.step, :: self.step][np.isfinite(block)]
         return painted
 

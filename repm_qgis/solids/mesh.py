@@ -64,7 +64,8 @@ def write_mesh(
     ``max_vertices`` (0: no limit), those are used whose mesh lies nearest to all of them (solids/simplification.py).
     No triangle lies on a cell without a height, so holes stay open; of a square's two diagonals the flatter one is
     taken, which keeps edges of roofs straight. A PLY's vertices have the colours of
-    ``ortho``, an orthophoto on the DSM's cells; a GLB and an OBJ have its picture, and places from the DSM's middle.
+    ``ortho``, an orthophoto on the DSM's cells or finer ones; a GLB and an OBJ have its picture, and places from the
+    DSM's middle.
 
     Raises OptionError for another extension, EmptyResultError for a DSM without heights, WorkspaceError where the file
     cannot be written.

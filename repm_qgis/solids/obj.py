@@ -66,7 +66,7 @@ def write_obj(temporary: str, path: str, lattice: Lattice) -> None:
         if lattice.paint is not None:
             require_own_companions(path)
             image, material = (stack.enter_context(whole_file(str(place))) for place in companions)
-            Path(image).write_bytes(picture(lattice.dataset, lattice.paint))
+            Path(image).write_bytes(picture(lattice.paint))
             Path(material).write_bytes(_MATERIAL.format(name=name).encode())
         _write(stream, lattice, f"mtllib {name}.mtl\nusemtl orthophoto\n" if lattice.paint is not None else "")
 

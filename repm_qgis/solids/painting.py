@@ -1,16 +1,17 @@
-"""Colours of points and vertices: those of the orthophoto in colour at their cells."""
+"""Colours of points and vertices: those of the orthophoto in colour at their places."""
 
 from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Iterator, Tuple
+from typing import Any, Iterator, List, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..contracts.arrays import FloatArray, Window
+from ..contracts.arrays import FloatArray, FloatImage, Window
+from ..evaluation.grids import Grid, HeightWarper
 from ..imagery.raster import opened, read
 from .parameters import SOLIDS, PaintingParameters
 
@@ -28,9 +29,22 @@ class Paint:
 
     def cells(self, window: Window) -> Colours:
         """(H, W, 3) colours of the cells; cells without one take the nearest colour in the window, or black."""
+        return self._colours([read(self.dataset, window, band) for band in self.bands])
+
+    def on(self, surface: gdal.Dataset, window: Window) -> Colours:
+        """(H, W, 3) colours of a window of a surface's cells, which may be wider than the orthophoto's: means."""
+        cells = Grid.of(surface)
+        own = Grid.of(self.dataset)
+        if (own.size, own.transform) == (cells.size, cells.transform):
+            return self.cells(window)
+        flat = cells.flat
+        warpers = [HeightWarper(self.dataset, flat, band=band, heights=False) for band in self.bands]
+        return self._colours([warper.read(flat.window(window)) for warper in warpers])
+
+    def _colours(self, planes: List[FloatImage]) -> Colours:
+        """(H, W, 3) of what the shown bands have in some cells, NaN where they have nothing."""
         from scipy import ndimage
 
-        planes = [read(self.dataset, window, band) for band in self.bands]
         scaled = [
             np.clip((plane - low) * np.float32(65535.0 / (high - low)), 0, 65535)
             for plane, (low, high) in zip(planes, self.limits)

@@ -25,15 +25,16 @@ def middle(lattice: Lattice) -> FloatArray:
 
 def picture_places(lattice: Lattice, first: int, block: FloatImage) -> FloatArray:
     """(N, 2) places of a block's vertices in the picture, 0..1 to the right and down."""
-    x0, cell_x, _, y0, _, cell_y = lattice.dataset.GetGeoTransform()
-    width, height = lattice.dataset.RasterXSize, lattice.dataset.RasterYSize
+    dataset = lattice.paint.dataset if lattice.paint is not None else lattice.dataset
+    x0, cell_x, _, y0, _, cell_y = dataset.GetGeoTransform()
+    width, height = dataset.RasterXSize, dataset.RasterYSize
     x, y, _ = lattice.places(first, block).T
     return np.column_stack([(x - x0) / (cell_x * width), (y - y0) / (cell_y * height)])
 
 
-def picture(dataset: gdal.Dataset, paint: Paint) -> bytes:
+def picture(paint: Paint) -> bytes:
     """The orthophoto as JPEG, every second, third, ... cell of a large one."""
-    width, height = dataset.RasterXSize, dataset.RasterYSize
+    width, height = paint.dataset.RasterXSize, paint.dataset.RasterYSize
     step = max(1, math.ceil(max(width, height) / _LONGEST_PX))
     parts: List[Colours] = [
         paint.cells(Window(0, row, width, min(step, height - row)))[:1, ::step] for row in range(0, height, step)

@@ -23,6 +23,7 @@ from ..fusion.finished import FinishedSurface
 from ..fusion.layout import DsmLayout
 from ..fusion.outliers import needed_neighbours
 from ..fusion.visible import nadir_first
+from ..geometry.finer_cells import FinerCells, finer_cell
 from ..geometry.frames import projected_crs_at
 from ..geometry.gridding import widening
 from ..geometry.vertical import HeightDatum
@@ -31,6 +32,7 @@ from ..names import scene_title
 from ..ortho.colour_ortho import make_colour_ortho
 from ..ortho.colour_sources import ColourPlan, colour_plan, water_sources
 from ..ortho.grey_ortho import make_grey_ortho
+from ..ortho.parameters import OrthoParameters
 from ..ortho.spectra import Spectra
 from ..planning.disk_space import fusion_needs, require_space
 from ..reports.styles import height_limits, write_style
@@ -43,7 +45,7 @@ from ..solids.derived import FinishedDsm, make_derived
 from ..solids.ept import require_ept_place
 from ..solids.parameters import PaintingParameters
 from . import viewer
-from .early import require_cell
+from .early import cell_of, require_cell, require_ortho_cell
 from .fusing import Fusion, fused
 from .kept import drop_others, kept_until_done
 from .parameters import ENGINE, EngineParameters
@@ -63,17 +65,21 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     spectra = spectra_of(scene, layout.crs, options, plan, progress, parameters)
     require_same = _same_images(scene, [*(plan.files if plan else ()), *(spectra.files if spectra else ())])
     bands = len(plan.names) if plan else 0
-    require_space("fusion", fusion_needs(scene, _matched(scene), options, layout.grid.cell, bands), progress)
+    ortho_m = ortho_cell(scene, options, layout.grid.cell, plan, parameters.ortho)
+    needs = fusion_needs(scene, _matched(scene), options, layout.grid.cell, bands=bands, ortho_cell=ortho_m)
+    require_space("fusion", needs, progress)
     whole = 1.0 / (1.0 + 0.7 * len(pairs))  # of the progress, for the products of all pairs together
     with kept_until_done(scene.folder("fusion"), "dsmfuse", progress) as kept, _draped(options, kept) as draped:
         fusion = replace(Fusion.in_folder(kept, draped, parameters, scene, layout), spectra=spectra)
         drop_others(kept, fusion.folder)
         clouds = clouds_of(options, str(fusion.folder))
         painted = bool(plan or draped.ortho)
-        ends = [whole * each for each in _cumulative_shares(1.0, _ORTHO * painted, _POINTS * bool(clouds))]
+        finer = (layout.grid.cell / ortho_m) ** 2
+        ends = [whole * each for each in _cumulative_shares(1.0, _ORTHO * finer * painted, _POINTS * bool(clouds))]
         facts, stored = fused(fusion, Part(progress, 0.0, ends[0]))
         dsm = FinishedSurface.of(options.output, layout.crs, layout.datum)
-        ortho = _orthophoto(fusion, dsm, plan, require_same, Part(progress, ends[0], ends[1])) if painted else None
+        part = Part(progress, ends[0], ends[1])
+        ortho = _orthophoto(fusion, dsm, plan, require_same, cell=ortho_m, progress=part) if painted else None
         colours = ortho if plan else None
         facts = _clouds(fusion, dsm, clouds, colours, facts, Part(progress, ends[1], ends[2]))
         cloud = clouds[-1] if facts.points else None
@@ -110,9 +116,10 @@ def _laid_out(scene: Scene, options: DsmFuseOptions, progress: Progress, paramet
         require_ept_place(options.ept)
     if options.stac:
         require_times(scene)
-    cell, numbers = options.resolution or _round_cell(parameters.tiles.cell_gsd * scene.gsd_m), parameters.fusion
+    cell, numbers = cell_of(options.resolution, scene.gsd_m, parameters.tiles), parameters.fusion
     layout = DsmLayout.of(scene, scene.tiles, crs, datum, cell)
     require_cell(options.resolution, min(layout.grid.shape) * cell, scene.gsd_m, parameters.tiles)
+    require_ortho_cell(options.ortho_resolution, cell, scene.gsd_m, parameters.tiles)
     rows, columns = layout.grid.shape
     cells = f"{columns} x {rows} cells of {cell:g} m in {crs}"
     progress.info(f"DSM of {cells}, heights above the {datum.name}.")
@@ -156,6 +163,23 @@ def colours_of(
     plan = colour_plan(scene, options, progress, parameters.ortho.sharpening)
     _require_others(options, plan.files if plan else ())
     return plan
+
+
+def ortho_cell(
+    scene: Scene,
+    options: DsmFuseOptions,
+    cell: float,
+    plan: Optional[ColourPlan],
+    parameters: OrthoParameters = ENGINE.ortho,
+) -> float:
+    """The side (m) of the cells of an orthophoto of a DSM of a ``cell``: as asked for, or else the ground sampling
+    distance of the finest image that it shows. One that nobody keeps has the DSM's own."""
+    if options.ortho_resolution:
+        return options.ortho_resolution
+    if not options.ortho:
+        return cell
+    gsd_m = min(each.gsd_m for each in (plan.sources if plan else scene.views))
+    return finer_cell(cell, gsd_m, parameters.nested)
 
 
 def spectra_of(
@@ -213,12 +237,16 @@ def _orthophoto(
     dsm: FinishedSurface,
     plan: Optional[ColourPlan],
     require_same: Callable[[], None],
+    *,
+    cell: float,
     progress: Progress,
 ) -> str:
-    """Make the orthophoto from the finished DSM, in colour where there is a plan, and a temporary one if it is no
-    product; gives its path."""
+    """Make the orthophoto from the finished DSM, on cells of a side (m), in colour where there is a plan, and a
+    temporary one if it is no product; gives its path."""
     wanted, folder = fusion.options.ortho, str(fusion.folder)
     path, numbers = wanted or f"{folder}/colours.tif", fusion.parameters.ortho
+    columns, rows = FinerCells.over(dsm.grid, cell).fine.size
+    progress.info(f"Orthophoto of {columns} x {rows} cells of {cell:g} m.")
     make = partial(make_colour_ortho, plan) if plan else partial(make_grey_ortho, nadir_first(fusion.scene))
     make(
         dsm,
@@ -226,6 +254,7 @@ def _orthophoto(
         path=path,
         folder=folder,
         progress=progress,
+        cell=cell,
         parameters=numbers,
         require_same=require_same,
     )
@@ -310,11 +339,6 @@ def _alone(fusion: Fusion, pair: Tuple[str, str]) -> Fusion:
     made = {**not_requested("dsmfuse"), "output": f"{place}.tif", "confidence": f"{place}_confidence.tif"}
     options = replace(fusion.options, fill="none", water="keep", **made)
     return Fusion.in_folder(fusion.folder.parent, options, fusion.parameters, scene, layout)
-
-
-def _round_cell(cell: float) -> float:
-    """Two significant digits: a cell of 1.0 m, not of 1.0122 m."""
-    return float(f"{cell:.2g}")
 
 
 def _log(options: DsmFuseOptions, parameters: EngineParameters, facts: FusionFacts, progress: Progress) -> None:

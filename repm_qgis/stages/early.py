@@ -40,7 +40,8 @@ def require_sensible(options: Options, parameters: EngineParameters = ENGINE) ->
     for part in options.parts():
         if isinstance(part, DsmFuseOptions):
             require_cell(part.resolution, seen.side_m, seen.gsd_m, parameters.tiles)
-            cell = part.resolution or parameters.tiles.cell_gsd * seen.gsd_m
+            cell = cell_of(part.resolution, seen.gsd_m, parameters.tiles)
+            require_ortho_cell(part.ortho_resolution, cell, seen.gsd_m, parameters.tiles)
             most = _two_digits(parameters.fusion.outliers.most_cells * cell)
             if part.outlier_radius and part.outlier_radius > most:
                 reason = f"must be at most {most:g} m, {parameters.fusion.outliers.most_cells:g} cells of the DSM"
@@ -91,6 +92,33 @@ def require_cell(cell_m: float, side_m: float, gsd_m: float, parameters: TilePar
         coarsest = _two_digits(side_m / parameters.least_cells)
         most = f"must be at most {coarsest:g} m: the ground is {side_m:.0f} m wide at most"
         raise OptionError("RESOLUTION", cell_m, f"{most}, and a DSM needs {parameters.least_cells} cells a side")
+
+
+def cell_of(resolution: float, gsd_m: float, parameters: TileParameters) -> float:
+    """The side of a DSM's cells, m: as asked for, or else of two significant digits, 1.0 m and not 1.0122 m."""
+    return resolution or float(f"{parameters.cell_gsd * gsd_m:.2g}")
+
+
+def require_ortho_cell(ortho_m: float, cell_m: float, gsd_m: float, parameters: TileParameters) -> None:
+    """Raise OptionError for cells of an orthophoto (m, 0: automatic) that are far finer than the images, or coarser
+    than the cells of its DSM, which are ``cell_m`` wide."""
+    if not ortho_m:
+        return
+    finest = min(_two_digits(parameters.finest_cell_gsd * gsd_m), cell_m)
+    if ortho_m < finest:
+        raise OptionError(
+            "ORTHO_RESOLUTION",
+            ortho_m,
+            f"must be at least {finest:g} m, a quarter of the images' ground sampling distance of {gsd_m:.2g} m: finer "
+            "cells add no detail; 0 takes the images' own",
+        )
+    if ortho_m > cell_m * (1 + 1e-9):
+        raise OptionError(
+            "ORTHO_RESOLUTION",
+            ortho_m,
+            f"must be at most {cell_m:g} m, the DSM's resolution: reduce the finished orthophoto instead "
+            "(gdal_translate -r average)",
+        )
 
 
 def _two_digits(value: float) -> float:

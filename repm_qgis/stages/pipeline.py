@@ -27,7 +27,7 @@ from ..runtime.workspace import ensure_folder, with_copy
 from ..scene import Scene
 from ..solids.ept import require_ept_place
 from . import dsmfuse, epmfit, reconstruct, refine, register
-from .early import require_cell
+from .early import cell_of, require_cell, require_ortho_cell
 from .parameters import ENGINE, EngineParameters
 
 _SHARES = {"epmfit": 0.15, "refine": 0.2, "reconstruct": 0.85, "register": 0.9, "dsmfuse": 1.0}
@@ -61,6 +61,8 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
     scene = Scene.load(first["scene"])
     xmin, ymin, xmax, ymax = bounds_of(ogr.CreateGeometryFromWkt(scene.area))
     require_cell(options.fuse.resolution, min(xmax - xmin, ymax - ymin), scene.gsd_m, parameters.tiles)
+    cell = cell_of(options.fuse.resolution, scene.gsd_m, parameters.tiles)
+    require_ortho_cell(options.fuse.ortho_resolution, cell, scene.gsd_m, parameters.tiles)
     if options.register is not None:
         register.require_references(options.register, scene, progress, parameters)
     pairs = reconstruct.pairs_of(scene, options.reconstruct, parameters)
@@ -95,11 +97,13 @@ def _needs(
     options: PipelineOptions, scene: Scene, matched: Sequence[ViewPair], parameters: EngineParameters
 ) -> List[Need]:
     """The disk space of all stages to come."""
-    cell = options.fuse.resolution or parameters.tiles.cell_gsd * scene.gsd_m
+    cell = cell_of(options.fuse.resolution, scene.gsd_m, parameters.tiles)
     colours = dsmfuse.colours_of(scene, options.fuse, Silent(), parameters)  # which refuses unfit XS now
     dsmfuse.spectra_of(scene, scene.crs, options.fuse, colours, Silent(), parameters)  # and so does this
     heights = heights_need(scene, matched, reconstruct.heights_folder(options.reconstruct))
-    return [heights, *fusion_needs(scene, matched, options.fuse, cell, len(colours.names) if colours else 0)]
+    ortho = dsmfuse.ortho_cell(scene, options.fuse, cell, colours, parameters.ortho)
+    bands = len(colours.names) if colours else 0
+    return [heights, *fusion_needs(scene, matched, options.fuse, cell, bands=bands, ortho_cell=ortho)]
 
 
 def _check_early(options: PipelineOptions, parameters: EngineParameters) -> None:

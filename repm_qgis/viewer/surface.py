@@ -72,8 +72,7 @@ def read_draped(
 
     Raises OverlapError too where the raster has no value on the page.
     """
-    flat = replace(cells, wkt=flat_crs(cells.crs).to_wkt("WKT2_2019")) if cells.wkt else cells
-    values = read_on(dataset, flat, band, check, parameters, heights=False)
+    values = read_on(dataset, cells.flat, band, check, parameters, heights=False)
     if not np.isfinite(values).any():
         raise OverlapError(
             f"The raster '{dataset.GetDescription()}' has no value where the DSM '{cells.path}' lies: choose one of "

@@ -97,6 +97,7 @@ def test_numbers_that_are_not_given_have_their_defaults_and_a_crs_is_named(plugi
         "water": "keep",
         "outlier_radius": 0.0,
         "mesh_vertices": 500000,
+        "ortho_resolution": 0.0,
         "colour": "auto",
         "xs": [],
         "pansharpen": True,

@@ -35,6 +35,7 @@ def test_the_item_has_what_stac_asks_for(urban_run, timed, tmp_path):
     files = {name: urban_run.result[name] for name in ("output", "confidence", "ortho", "cloud")}
     for name, file in files.items():
         files[name] = shutil.copy(file, tmp_path / f"{name}{Path(file).suffix}")
+    gdal.Translate(str(files["ortho"]), urban_run.result["ortho"], widthPct=200, heightPct=200)  # finer than the DSM
     products = {name: (name.title(), str(file)) for name, file in files.items()}
     products["mesh"] = ("Mesh", str(tmp_path / "not there.glb"))
     item = item_of(write_item(str(tmp_path / "sub.json"), timed, products))
@@ -70,6 +71,9 @@ def test_the_item_has_what_stac_asks_for(urban_run, timed, tmp_path):
     assert len(assets["confidence"]["raster:bands"]) == 6
     assert assets["output"]["type"].endswith("profile=cloud-optimized")
     assert assets["cloud"]["type"] == "application/vnd.laszip" and assets["ortho"]["roles"] == ["visual"]
+    assert assets["ortho"]["proj:shape"] == [2 * rows, 2 * columns]
+    assert assets["ortho"]["proj:transform"] == [cell / 2, 0.0, x, 0.0, down / 2, y]
+    assert "proj:bbox" not in assets["ortho"] and "proj:shape" not in assets["confidence"], "those of the item"
     assert not re.search(r'"/|[A-Z]:\\\\', Path(tmp_path / "sub.json").read_text()), "no path of this machine"
 
 

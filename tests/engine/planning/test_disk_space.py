@@ -12,6 +12,8 @@ import pytest
 from repm_qgis.contracts.errors import WorkspaceError
 from repm_qgis.contracts.options import DsmFuseOptions
 from repm_qgis.contracts.products import PIPELINE, products_of
+from repm_qgis.geometry.finer_cells import finer_cell
+from repm_qgis.ortho.parameters import ORTHO
 from repm_qgis.planning import disk_space
 from repm_qgis.planning.disk_space import Need, fusion_needs, heights_need, images_need, require_space
 from repm_qgis.runtime.workspace import size_of
@@ -66,7 +68,8 @@ def test_the_estimate_is_a_lower_bound_of_what_a_run_writes(measured):
     assert heights.least < maps < 3 * heights.least
     folder = Path(scene.path).parent
     assert not (folder / "fusion").exists()
-    needs = [heights, *fusion_needs(scene, scene.pairs, options, cell)]
+    ortho = finer_cell(cell, min(view.gsd_m for view in scene.views), ORTHO.nested)
+    needs = [heights, *fusion_needs(scene, scene.pairs, options, cell, ortho_cell=ortho)]
     least = sum(need.least for need in needs)
     assert least < peak < 3.5 * least
     for need in needs[2:]:
