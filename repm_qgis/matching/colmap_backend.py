@@ -8,8 +8,10 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 from ..colmap.runner import PatchMatchOptions, Runner, run_patch_match
 from ..colmap.tile_matching import GpuTask, match_tiles, tile_height_source
 from ..contracts.arrays import Bounds
+from ..contracts.errors import OptionError
 from ..contracts.options import ReconstructOptions
 from ..contracts.records import HeightMapRecord, ViewPair
+from ..imagery.parameters import SAMPLING
 from ..runtime.environment import Gpu, cuda, cuda_usable, gpus
 from ..runtime.progress import Progress
 from ..runtime.workspace import fingerprint
@@ -43,7 +45,11 @@ class ColmapBackend:
         return [options.geometric, options.colmap_fusion, options.window_radius]
 
     def match(self, job: MatchingJob, progress: Progress) -> MatchingResult:
-        """Match all tiles, one worker for each GPU."""
+        """Match all tiles, one worker for each GPU.
+
+        Raises OptionError where images of very different ground sampling distances are to be matched with each other.
+        """
+        _require_alike(job.scene, job.pairs)
         chosen, scene = job.options, job.scene.lean()
         options = PatchMatchOptions(chosen.geometric, chosen.window_radius, chosen.gpu_memory, chosen.colmap_fusion)
         folder, colmap, stereo, tasks = job.folder, job.parameters.colmap, job.parameters.stereo, []
@@ -67,6 +73,18 @@ class ColmapBackend:
 
 
 BACKEND = ColmapBackend()
+
+
+def _require_alike(scene: Scene, pairs: Sequence[ViewPair]) -> None:
+    """COLMAP gets each image with its own pixels: the windows that it compares would show ground of another size."""
+    for pair in pairs:
+        fine, coarse = sorted(scene.view(name).gsd_m for name in pair.names)
+        if coarse > SAMPLING.alike * fine:
+            reason = (
+                f"compares images pixel by pixel, but those of {pair.first} and {pair.second} are of {fine:.2f} m and "
+                f"{coarse:.2f} m: choose sgm, which matches each pair at the pixels of its coarser image"
+            )
+            raise OptionError("BACKEND", BACKEND.name, reason)
 
 
 def _partners(tile: Tile, pairs: Sequence[ViewPair]) -> Dict[str, Tuple[str, ...]]:

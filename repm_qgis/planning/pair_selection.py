@@ -20,6 +20,7 @@ from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.sun import shadow_shift, sun_angle, sun_position
 from ..geometry.tiles import enclosing
 from ..imagery.parameters import SAMPLING
+from ..runtime.progress import listed
 from ..scene import Scene, View
 from ..stereo.pairing import convergence
 from .graph import components
@@ -48,7 +49,8 @@ def best_pairs(
     """Those of the pairs of the named views that are matched: see :func:`choose_pairs` and :func:`places_seen`."""
     usable = [c for c in candidates if c.base_to_height >= parameters.least_base_to_height]
     if not usable:
-        angles = ", ".join(f"{c.first} and {c.second}: {c.angle_deg:.1f} degrees" for c in candidates)
+        widest = sorted(candidates, key=lambda pair: -pair.angle_deg)
+        angles = listed([f"{c.first} and {c.second}: {c.angle_deg:.1f} degrees" for c in widest])
         why = f"No pair of images can measure heights ({angles or 'they share no tile'})"
         raise EmptyResultError(f"{why}: choose images with lines of sight at least 3 degrees apart.")
     if len(names) <= parameters.all_up_to:

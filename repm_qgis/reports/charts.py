@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 from dataclasses import dataclass, field
 from typing import Any, Iterable, List, Mapping, Optional, Sequence, Tuple
 
@@ -15,11 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..contracts.arrays import FloatArray
+from ..runtime.progress import counted
 from ..runtime.translation import said
 from .templates import Drawing, draw
 
 COLOURS = ("#2b83ba", "#e08214", "#35a06a", "#d1495b", "#8367b5", "#8c7a4b", "#1b9e9e", "#b5628f")
 _WIDTH, _TOP, _BINS, _MOST_ARROWS = 640, 46, 80, 1500
+_LONGEST = 24  # letters of a name in a key
+_MOST_NAMED = 14  # outlines, in a key beside them
 _IDS = itertools.count(1)  # an id is unique on the page, not only in its drawing
 
 Pair = Tuple[float, float]
@@ -87,7 +91,10 @@ def curves(
 
 
 def footprints(polygons: Mapping[str, ArrayLike], area: Optional[ArrayLike] = None, title: str = "") -> Drawing:
-    """A map of outlines (N, 2) with a scale bar, north up, in metres of one CRS; ``area`` is drawn filled."""
+    """A map of outlines (N, 2) with a scale bar, north up, in metres of one CRS; ``area`` is drawn filled.
+
+    Outlines of more images than a key can name have one colour, and only the pointer shows their names.
+    """
     shapes = {name: _finite(points) for name, points in polygons.items()}
     shapes = {name: points for name, points in shapes.items() if len(points)}
     ground = _finite(area if area is not None else [])
@@ -103,13 +110,17 @@ def footprints(polygons: Mapping[str, ArrayLike], area: Optional[ArrayLike] = No
         offset = (points - low) / metres_per_px
         return _points(np.column_stack([24 + offset[:, 0], height - 44 - offset[:, 1]]), 1)
 
-    coloured = [(COLOURS[i % len(COLOURS)], name, drawn(points)) for i, (name, points) in enumerate(shapes.items())]
-    legend = [(colour, _short(name)) for colour, name, _ in coloured] + [("currentColor", said("area"))] * bool(
-        len(ground)
-    )
+    many = len(shapes) > _MOST_NAMED
+    coloured = [
+        (COLOURS[0 if many else i % len(COLOURS)], name, drawn(points))
+        for i, (name, points) in enumerate(shapes.items())
+    ]
+    named = [said(counted(len(shapes), "image"))] if many else _apart(list(shapes))
+    legend = [(colour, name) for (colour, _, _), name in zip(coloured, named)]
+    legend += [("currentColor", said("area"))] * bool(len(ground))
     length = _nice_length(metres_per_px * 140)
     bar_text = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
-    bar = {"bar": length / metres_per_px, "bar_text": bar_text, "height": max(height, 140.0)}
+    bar = {"bar": length / metres_per_px, "bar_text": bar_text, "height": max(height, 140.0, 54.0 + 18 * len(legend))}
     return draw("footprints", title=title, area=drawn(ground), shapes=coloured, legend=legend, **bar)
 
 
@@ -240,8 +251,17 @@ def _legend(names: Sequence[str], plot: _Plot) -> Tuple[List[Tuple[str, float, s
     return found, None
 
 
+def _apart(names: Sequence[str]) -> List[str]:
+    """Names that fit into a key; of long ones what they have in common is left out, as products' names have much."""
+    if len(names) < 2 or all(len(name) <= _LONGEST for name in names):
+        return [_short(name) for name in names]
+    before = len(os.path.commonprefix(list(names)))
+    after = len(os.path.commonprefix([name[:before:-1] for name in names]))
+    return [_short(f"{'…' * (before > 0)}{name[before : len(name) - after]}{'…' * (after > 0)}") for name in names]
+
+
 def _short(name: str) -> str:
-    return name if len(name) <= 24 else name[:11] + "…" + name[-11:]
+    return name if len(name) <= _LONGEST else name[:11] + "…" + name[-11:]
 
 
 def _label(value: float, all_ticks: Sequence[float]) -> str:

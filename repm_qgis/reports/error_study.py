@@ -15,7 +15,7 @@ from . import charts
 from .report import Report, fixed
 
 _SIZES, _LEVELS = 7, 11
-_TILES = 9
+_TILES, _VIEWS = 9, 15
 _MODELS = ("homography", "polynomial")
 
 Curves = Dict[str, Tuple[FloatArray, FloatArray]]
@@ -73,7 +73,8 @@ def add_error_study(report: Report, scene: Scene) -> None:
     """The table of the four models and the two curves, as a section of a report."""
     rows = []
     tiles = scene.tiles[:: max(1, len(scene.tiles) // _TILES)][:_TILES]
-    for view in scene.views:
+    views = scene.views[:: -(-len(scene.views) // _VIEWS)]
+    for view in views:
         terrain = scene.terrain(view.model)  # the model is measured only where there is a surface
         models = _MODELS + (("terrain",) if terrain is not None else ())
         seen = [(tile.views[view.name].window, tile.altitudes) for tile in tiles if view.name in tile.views]
@@ -85,8 +86,8 @@ def add_error_study(report: Report, scene: Scene) -> None:
     report.section("What each refinement leaves").table(
         "view | model | Samp RMSE, px | Line RMSE, px | RMSE, px | Max, px",
         rows,
-        f"Measured over {len(tiles)} of {len(scene.tiles)} tiles. The terrain model, where there is a surface, is "
-        "measured within 10 m of the surface.",
+        f"Measured over {len(tiles)} of {len(scene.tiles)} tiles and in {len(views)} of {len(scene.views)} images. The "
+        "terrain model, where there is a surface, is measured within 10 m of the surface.",
     )
     view = scene.views[0]
     by_size = charts.curves(_errors_by_size(view, scene), "side of the window, px", "RMSE, px")

@@ -11,14 +11,17 @@ from typing import List, Mapping, NamedTuple, Optional, Sequence
 
 import numpy as np
 
-from ..contracts.records import FusionFacts, RegistrationFigures
+from ..contracts.records import FusionFacts, PairFigures, RegistrationFigures
 from ..evaluation.gcp_accuracy import GcpAccuracy
 from ..evaluation.metrics import HeightMetrics
 from ..evaluation.parameters import GCPS
 from ..numerics.robust import nmad
 from ..rpc.correction import DELIVERED, JITTERED, CorrectedRpc
+from ..runtime.progress import counted
 from ..scene import Scene
 from .parameters import VERDICT, VerdictParameters
+
+_MOST_PAIRS = 5  # that are named
 
 
 def of_run(scene: Scene, facts: Optional[FusionFacts] = None, bounds: VerdictParameters = VERDICT) -> List[str]:
@@ -37,12 +40,7 @@ def of_run(scene: Scene, facts: Optional[FusionFacts] = None, bounds: VerdictPar
             f"The median residual of the tie points is {ties.after_px:.2f} px (usual: at most "
             f"{bounds.most_residual_px:g} px): see 'Tie points'."
         )
-    for pair in ties.pairs if ties is not None else ():
-        if pair.after_px > bounds.most_parallax_px:
-            found.append(
-                f"{pair.pair[0]} and {pair.pair[1]} keep a vertical parallax of {pair.after_px:.2f} px (usual: at most "
-                f"{bounds.most_parallax_px:g} px): see 'Tie points'."
-            )
+    found += _parallaxes(ties.pairs if ties is not None else (), bounds)
     if ties is not None and ties.rejected_gcps:
         found.append(
             f"Control points contradict the others ({', '.join(ties.rejected_gcps)}): see 'Absolute position'."
@@ -51,6 +49,20 @@ def of_run(scene: Scene, facts: Optional[FusionFacts] = None, bounds: VerdictPar
     if scene.registration is not None:
         found += of_registration(scene.registration, bounds)
     return found + _warnings(scene)
+
+
+def _parallaxes(pairs: Sequence[PairFigures], bounds: VerdictParameters) -> List[str]:
+    """The pairs that keep the most vertical parallax, and how many more there are: a block of frames has very many."""
+    worst = sorted((pair for pair in pairs if pair.after_px > bounds.most_parallax_px), key=lambda pair: -pair.after_px)
+    found = [
+        f"{pair.pair[0]} and {pair.pair[1]} keep a vertical parallax of {pair.after_px:.2f} px (usual: at most "
+        f"{bounds.most_parallax_px:g} px): see 'Tie points'."
+        for pair in worst[:_MOST_PAIRS]
+    ]
+    more = len(worst) - _MOST_PAIRS
+    if more > 0:
+        found.append(f"The same holds for {counted(more, 'more pair')}: see 'Tie points'.")
+    return found
 
 
 def of_refinement(scene: Scene, bounds: VerdictParameters = VERDICT) -> List[str]:

@@ -40,6 +40,7 @@ from ..runtime.progress import Part, Progress, Recorder, counted
 from ..runtime.workspace import ensure_folder, file_identity, fingerprint, with_copy
 from ..scene import Scene, Tile, TileView, View, common_heights, finest_gsd_m, folder_of, middle_of, reusable
 from ..stereo.parameters import STEREO
+from ..ties.tie_points import common_gsd_m
 from .parameters import ENGINE, EngineParameters, TileParameters
 
 _MOST_NAMED = 12  # images that the log names one by one
@@ -113,6 +114,7 @@ def _without_collars(views: Sequence[View], folder: Path, progress: Progress) ->
 def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, progress: Progress) -> Scene:
     views = views_of(options, parameters.tiles.least_overlap_px, progress.warn)
     _log_views(views, progress)
+    views = _coarser_first(views)
     crs = _crs(options, views)
     search = common_heights(views)
     area = _area(views, crs, search, options, parameters.tiles)
@@ -161,6 +163,13 @@ def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, prog
     scene = replace(scene, tiles=_tiles(scene, lay_tiles(area, size * scene.gsd_m), progress))
     progress.info(f"{counted(len(scene.tiles), 'tile')} of up to {size} px a side.")
     return scene
+
+
+def _coarser_first(views: Sequence[View]) -> Tuple[View, ...]:
+    """The views of coarser sensors before those of finer ones, and alike ones in their order: a pair of two sensors has
+    the same tie points, pointing and heights in whichever order IMAGES names it."""
+    classes = common_gsd_m([view.gsd_m for view in views])
+    return tuple(view for view, _ in sorted(zip(views, classes), key=lambda each: -each[1]))
 
 
 def _log_views(views: Sequence[View], progress: Progress) -> None:

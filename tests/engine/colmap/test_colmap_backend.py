@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,8 +30,8 @@ from repm_qgis.colmap.runner import (
 )
 from repm_qgis.colmap.tile_matching import GpuTask, match_tile
 from repm_qgis.colmap.workspace import view_intensity, write_workspace
-from repm_qgis.contracts.errors import Cancelled, DeviceError, ImageError, SceneError
-from repm_qgis.contracts.records import HeightMapRecord
+from repm_qgis.contracts.errors import Cancelled, DeviceError, ImageError, OptionError, SceneError
+from repm_qgis.contracts.records import HeightMapRecord, ViewPair
 from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.geometry.gridding import grid_points
 from repm_qgis.imagery.enhancement import view_stretch
@@ -52,6 +53,19 @@ from tests.engine.colmap.truth_depths import (
 )
 
 GPU = Gpu(0, "emulated", 8 << 30, 8 << 30)
+
+
+def test_images_of_very_different_pixels_are_refused_with_the_backend_to_take(urban):
+    scene = true_scene(urban)
+    first, second, third = (view.name for view in scene.views)
+    views = [replace(view, gsd_m=3 * view.gsd_m if view.name == third else view.gsd_m) for view in scene.views]
+    mixed = replace(scene, views=views)
+    pairs = [ViewPair(first, second, 20.0, 0.35, 1), ViewPair(second, third, 20.0, 0.35, 1)]
+    said = f"BACKEND is 'colmap': it compares .* {second} and {third} are of 0.[0-9]+ m and 1.[0-9]+ m: choose sgm, "
+    with pytest.raises(OptionError, match=said):
+        ColmapBackend().match(SimpleNamespace(scene=mixed, pairs=pairs), None)
+    with pytest.raises(AttributeError, match="options"):  # alike images go on
+        ColmapBackend().match(SimpleNamespace(scene=mixed, pairs=pairs[:1]), None)
 
 
 def nmad(error):

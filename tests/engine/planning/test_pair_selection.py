@@ -17,6 +17,7 @@ from repm_qgis.geometry.footprints import bounds_of, footprint, geometry_of, see
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs
 from repm_qgis.imagery.acquisition import moment, time_of_name
 from repm_qgis.planning.pair_selection import (
+    best_pairs,
     change_cost,
     choose_pairs,
     days_off_season,
@@ -119,6 +120,21 @@ def test_many_views_stay_few_pairs_and_connected(urban):
 def test_views_from_the_same_place_are_refused_with_their_angle(urban):
     with pytest.raises(EmptyResultError, match="again: 0.0 degrees"):
         choose_pairs(scene_of([urban.views[0], named(urban.views[0], "again")], urban))
+
+
+def test_a_block_of_narrow_frames_is_refused_in_one_short_sentence_with_its_widest_angle():
+    """As PlanetScope's frames of one pass: they look straight down, side by side."""
+    names = [f"f{number}" for number in range(20)]
+    narrow = [
+        ViewPair(a, b, 0.05 * (j - i), 0.00087 * (j - i), 1)
+        for i, a in enumerate(names)
+        for j, b in enumerate(names)
+        if i < j
+    ]
+    with pytest.raises(EmptyResultError) as refused:
+        best_pairs(narrow, {}, names)
+    text = str(refused.value)
+    assert "(f0 and f19: 1.0 degrees" in text and "and 184 more): choose images with" in text and len(text) < 320
 
 
 def test_seventeen_real_views(melbourne):

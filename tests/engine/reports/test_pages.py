@@ -127,6 +127,18 @@ def test_charts_of_next_to_nothing(draw):
     checked(text)
 
 
+def test_a_key_says_by_what_long_names_differ_and_names_no_block_of_frames():
+    def outlines(count):
+        names = [f"20200101_10101{n % 10}_ssc{n // 10}d1_basic_l1a_panchromatic_dn" for n in range(count)]
+        return {name: [[n, 0], [n + 9, 0], [n + 9, 5]] for n, name in enumerate(names)}
+
+    few = charts.footprints(outlines(3))
+    assert all(f">…{number}…</text>" in few for number in range(3))
+    many = charts.footprints(outlines(42))
+    assert ">42 images</text>" in many and "…" not in many and len(re.findall("<title>2020", many)) == 42
+    assert len(set(re.findall('fill="(#[0-9a-f]{6})"', many))) == 1, "colours that come again would tell nothing"
+
+
 def test_labelled_vectors_are_named_in_place_and_stay_inside():
     import re
 

@@ -195,6 +195,10 @@ def test_each_figure_of_a_run_beyond_its_bound_is_one_finding():
     ties = SimpleNamespace(after_px=0.3, pairs=pairs, rejected_gcps=())
     (parallax,) = verdict.of_run(run_of(pointing=ties))
     assert parallax.startswith("a and c keep a vertical parallax of 14.03 px (usual: at most 0.5 px)")
+    block = [SimpleNamespace(pair=("a", str(number)), after_px=1.0 + number) for number in range(40)]
+    found = verdict.of_run(run_of(pointing=SimpleNamespace(after_px=0.3, pairs=block, rejected_gcps=())))
+    assert len(found) == 6 and found[0].startswith("a and 39 keep a vertical parallax of 40.00 px")
+    assert found[-1] == "The same holds for 35 more pairs: see 'Tie points'."
     (residual,) = verdict.of_run(run_of(pointing=SimpleNamespace(after_px=0.7, pairs=(), rejected_gcps=())))
     assert "tie points is 0.70 px (usual: at most 0.5 px)" in residual
     (gcps,) = verdict.of_run(run_of(pointing=SimpleNamespace(after_px=0.1, pairs=(), rejected_gcps=("P1", "P2"))))

@@ -1,6 +1,8 @@
 """Images of two sensors: a pair is matched at the ground sampling distance of its coarser image."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -63,7 +65,7 @@ def test_a_mixed_pair_is_as_good_as_the_coarser_sensors_own(urban, coarse, tmp_p
 def test_the_frame_of_a_pair_has_the_coarser_pixels(urban, coarse, tmp_path, told):
     made = run_stage("epmfit", {"images": [*urban.images[:2], *coarse[:1]], "workspace": str(tmp_path)}, told())
     scene = replace(Scene.load(made["scene"]), refinement="polynomial")
-    fine, other, wide = scene.views
+    wide, fine, other = scene.views  # coarser first
     assert reductions(fine, other) == (1.0, 1.0)
     assert reductions(fine, wide)[1] == 1.0 and reductions(other, wide)[0] == pytest.approx(RATIO, rel=0.1)
     bounds, altitudes = scene.tiles[0].bounds, scene.tiles[0].altitudes
@@ -79,6 +81,20 @@ def test_the_frame_of_a_pair_has_the_coarser_pixels(urban, coarse, tmp_path, tol
     assert scene.gsd_m == min(fine.gsd_m, other.gsd_m)
     assert scene.matched_gsd_m((fine.name, other.name)) == scene.gsd_m
     assert scene.matched_gsd_m((other.name, wide.name)) == wide.gsd_m
+
+
+def test_a_mixed_scene_is_the_same_whichever_image_is_named_first(urban, coarse, tmp_path, told):
+    scenes = []
+    for number, images in enumerate(([urban.images[0], coarse[2]], [coarse[2], urban.images[0]])):
+        made = run_stage("epmfit", {"images": images, "workspace": str(tmp_path / str(number))}, told())
+        scenes.append(json.loads(Path(made["scene"]).read_text(encoding="utf-8")))
+    one, other = scenes
+    assert [view["image"] for view in one["views"]] == [coarse[2], urban.images[0]]
+    for scene in scenes:
+        del scene["history"], scene["folder"]  # which names the images as they were given
+    assert one == other
+    alike = run_stage("epmfit", {"images": urban.images[1::-1], "workspace": str(tmp_path / "alike")}, told())
+    assert [view.image for view in Scene.load(alike["scene"]).views] == urban.images[1::-1]
 
 
 def test_one_fine_image_makes_no_fine_scene(urban, coarse):
