@@ -121,14 +121,15 @@ def surface_title(path: str) -> str:
     return titled(surface_name(path), surface_days(path))
 
 
-def dates_title(before: str, after: str) -> str:
-    """The names of the DSMs of two dates, and the days of their images."""
-    return titled(dates_name(before, after), sorted({*surface_days(before), *surface_days(after)}))
+def dates_title(*surfaces: str) -> str:
+    """The names of the DSMs of several dates, and the days of their images."""
+    return titled(dates_name(*surfaces), sorted({day for each in surfaces for day in surface_days(each)}))
 
 
-def dates_name(before: str, after: str) -> str:
-    """The names of the DSMs of two dates, or the one name that both have."""
-    return " – ".join(dict.fromkeys(filter(None, map(surface_name, (before, after)))))
+def dates_name(*surfaces: str) -> str:
+    """The names of the DSMs of several dates, or the one name that all have; of many the first and the last."""
+    found = list(dict.fromkeys(filter(None, map(surface_name, surfaces))))
+    return " – ".join(found if len(found) <= _MOST_PARTS else (found[0], found[-1]))
 
 
 def mosaic_name(output: str, parts: Sequence[str]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import List, Optional, Tuple
+from typing import List, Optional, Protocol, Tuple
 
 import numpy as np
 
@@ -50,6 +50,18 @@ class Cells:
     def inner(self, part: Tuple[slice, slice]) -> Cells:
         """A part of the window."""
         return Cells(*(values[part] for values in vars(self).values()))
+
+
+class TwoDates(Protocol):
+    """Two DSMs on one grid, with cells of this width and height (m), as :class:`Surfaces` has them."""
+
+    cell: Tuple[float, float]
+
+    def read(self, window: Window) -> Cells:
+        """A window of the grid."""
+
+    def samples(self) -> List[Window]:
+        """The overlap as one window, or patches that are spread evenly over it."""
 
 
 class Surfaces:
@@ -148,7 +160,7 @@ class Surfaces:
         return sample_windows(self.grid, self.grid.bounds, EVALUATION.comparison)
 
 
-def lay_on(surfaces: Surfaces, method: str, stable: float, progress: Progress) -> Alignment:
+def lay_on(surfaces: TwoDates, method: str, stable: float, progress: Progress) -> Alignment:
     """The shift of AFTER onto BEFORE: found from all cells, then again from those that did not change.
 
     ``method`` is that of :func:`~repm_qgis.evaluation.coregistration.align`; ``stable`` are the standard deviations

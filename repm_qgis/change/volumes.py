@@ -52,11 +52,10 @@ class Changed:
         return kind, self.area, self.mean, self.largest, self.volume, self.deviation
 
 
-class Outlines:
-    """The connected parts of a raster of signs, numbered from 1, of at least so many cells."""
+class Shapes:
+    """Polygons on a grid, in its CRS, numbered from 1."""
 
-    def __init__(self, signs: str, large: str, grid: Grid, least_cells: int, check: Callable[[], None]) -> None:
-        """``signs`` is the raster's path, ``large`` that of a raster to write with its parts that are large enough."""
+    def __init__(self, grid: Grid) -> None:
         self._grid = grid
         self._reference = osr.SpatialReference()
         self._reference.ImportFromWkt(grid.crs.to_wkt("WKT2_2019"))
@@ -65,6 +64,28 @@ class Outlines:
         self._layer = self._memory.CreateLayer("changes", self._reference, ogr.wkbPolygon)
         for name in ("sign", "number"):
             self._layer.CreateField(ogr.FieldDefn(name, ogr.OFTInteger))
+
+    def __len__(self) -> int:
+        return int(self._layer.GetFeatureCount())
+
+    def numbers(self, window: Window) -> IntArray:
+        """(rows, columns) the number of the polygon that each cell of a window belongs to, 0 for none."""
+        cells = self._grid.window(window)
+        target = gdal.GetDriverByName("MEM").Create("", window.width, window.height, 1, gdal.GDT_Int32)
+        target.SetGeoTransform(list(cells.transform))
+        target.SetSpatialRef(self._reference)
+        self._layer.SetSpatialFilterRect(*cells.bounds)
+        with raster.quiet():
+            gdal.RasterizeLayer(target, [1], self._layer, options=["ATTRIBUTE=number"])
+        return np.asarray(target.ReadAsArray(), np.int64)
+
+
+class Outlines(Shapes):
+    """The connected parts of a raster of signs, numbered from 1, of at least so many cells."""
+
+    def __init__(self, signs: str, large: str, grid: Grid, least_cells: int, check: Callable[[], None]) -> None:
+        """``signs`` is the raster's path, ``large`` that of a raster to write with its parts that are large enough."""
+        super().__init__(grid)
         _keep_large(signs, large, least_cells, check)
         with raster.opened(large) as dataset:
             band = dataset.GetRasterBand(1)
@@ -75,26 +96,12 @@ class Outlines:
             feature.SetField("number", number)
             self._layer.SetFeature(feature)
 
-    def __len__(self) -> int:
-        return int(self._layer.GetFeatureCount())
-
     def __iter__(self) -> Iterator[Tuple[int, bool, bytes]]:
         """Number, whether it is a gain, and outline of each."""
         self._layer.SetSpatialFilter(None)
         for feature in self._layer:
             outline = bytes(feature.GetGeometryRef().ExportToWkb())
             yield feature.GetField("number"), feature.GetField("sign") == GAIN, outline
-
-    def numbers(self, window: Window) -> IntArray:
-        """(rows, columns) the number of the change that each cell of a window belongs to, 0 for none."""
-        cells = self._grid.window(window)
-        target = gdal.GetDriverByName("MEM").Create("", window.width, window.height, 1, gdal.GDT_Int32)
-        target.SetGeoTransform(list(cells.transform))
-        target.SetSpatialRef(self._reference)
-        self._layer.SetSpatialFilterRect(*cells.bounds)
-        with raster.quiet():
-            gdal.RasterizeLayer(target, [1], self._layer, options=["ATTRIBUTE=number"])
-        return np.asarray(target.ReadAsArray(), np.int64)
 
 
 def _keep_large(signs: str, large: str, least_cells: int, check: Callable[[], None]) -> None:

@@ -167,15 +167,19 @@ def cell_metres(grid: Grid) -> Tuple[float, float]:
     return grid.transform[1] * per_unit[0], -grid.transform[5] * per_unit[1]
 
 
-def overlap(dsm: Grid, reference: Grid) -> Bounds:
-    """The common extent of both rasters, in the reference's CRS; raises OverlapError with both extents without one."""
+def bounds_on(dsm: Grid, reference: Grid) -> Bounds:
+    """The extent of a raster in another one's CRS; NaN where PROJ cannot bring it there."""
     source, target = (flat_crs(on_earth(each.crs, each.path)) for each in (dsm, reference))
     to_reference = Transformer.from_crs(source, target, always_xy=True)
-    theirs = reference.bounds
     try:
-        ours = Bounds(*to_reference.transform_bounds(*dsm.bounds, densify_pts=21))
+        return Bounds(*to_reference.transform_bounds(*dsm.bounds, densify_pts=21))
     except ProjError:
-        ours = Bounds(*(math.nan,) * 4)
+        return Bounds(*(math.nan,) * 4)
+
+
+def overlap(dsm: Grid, reference: Grid) -> Bounds:
+    """The common extent of both rasters, in the reference's CRS; raises OverlapError with both extents without one."""
+    ours, theirs = bounds_on(dsm, reference), reference.bounds
     both = Bounds(*(max(a, b) for a, b in zip(ours[:2], theirs)), *(min(a, b) for a, b in zip(ours[2:], theirs[2:])))
     if not (both.xmin < both.xmax and both.ymin < both.ymax):
         raise OverlapError(

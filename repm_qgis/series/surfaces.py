@@ -1,0 +1,158 @@
+"""The DSMs of a series on one grid: what is read of them in a window, and two of them at a time."""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from typing import List, Optional, Sequence
+
+import numpy as np
+
+from ..change.parameters import CHANGE
+from ..change.surfaces import Cells
+from ..change.volumes import Shapes
+from ..contracts.arrays import FloatImage, Window
+from ..contracts.errors import OverlapError
+from ..evaluation.comparison import gradient, sample_windows
+from ..evaluation.coregistration import Alignment
+from ..evaluation.grids import Grid, HeightWarper, bounds_on, cell_metres, overlap
+from ..evaluation.parameters import EVALUATION
+from ..geometry.frames import flat_crs
+from ..geometry.vertical import TAG
+from ..imagery.confidence import confidence_bands
+from ..imagery.heights import to_metres
+from ..imagery.raster import opened
+from .times import DatedDsm
+
+LEAST_DATES = 3
+"""Two dates have a change, and no trend."""
+
+
+@dataclass(frozen=True)
+class SeriesCells:
+    """A window of all dates: ``heights`` (dates, rows, columns) in m, NaN where there is none or it was filled in;
+    ``stated`` errors of these, m, 1 where nothing states them; ``gradient`` (rows, columns) of their mean, m per m."""
+
+    heights: FloatImage
+    stated: FloatImage
+    gradient: FloatImage
+
+
+class Stack:
+    """All DSMs and their confidences, opened on the grid of the coarsest one, where three of them may have heights.
+
+    ``alignments`` are what each date is moved by. Close it with the stack that it was given.
+    """
+
+    def __init__(self, series: Sequence[DatedDsm], stack: ExitStack) -> None:
+        """Raises ImageError (no CRS, rotated, other units than metres, no vertical transformation), OverlapError."""
+        datasets = [stack.enter_context(opened(each.path)) for each in series]
+        grids = [Grid.of(dataset) for dataset in datasets]
+        sides = [max(map(abs, cell_metres(grid))) for grid in grids]
+        for dataset in datasets:
+            to_metres(dataset)  # raises ImageError where that cannot be
+        chosen = next(index for index, side in enumerate(sides) if side * 1.001 >= max(sides))
+        self.grid = _common(grids[chosen], grids)
+        for grid in grids:
+            overlap(grid, self.grid)
+        self.cell = cell_metres(self.grid)
+        self.crs_wkt = datasets[chosen].GetProjection()
+        self.datum = datasets[chosen].GetMetadataItem(TAG) or ""
+        self.alignments = [Alignment("none")] * len(series)
+        self.areas: Optional[Shapes] = None
+        """Where the ground is not stable."""
+        self._warpers = [HeightWarper(dataset, self.grid) for dataset in datasets]
+        self._errors: List[Optional[HeightWarper]] = [None] * len(series)
+        self._sources: List[Optional[HeightWarper]] = [None] * len(series)
+        flat = replace(self.grid, wkt=flat_crs(self.grid.crs).to_wkt())  # errors have no vertical datum
+        for index, each in enumerate(series):
+            if each.confidence:
+                dataset = stack.enter_context(opened(each.confidence))
+                bands = confidence_bands(dataset, "CONFIDENCES")
+                self._errors[index] = HeightWarper(dataset, flat, band=bands.error)
+                if bands.source:
+                    self._sources[index] = HeightWarper(dataset, flat, band=bands.source)
+
+    def __len__(self) -> int:
+        return len(self._warpers)
+
+    @property
+    def cell_m2(self) -> float:
+        return abs(self.cell[0] * self.cell[1])
+
+    @property
+    def warnings(self) -> List[str]:
+        return list(dict.fromkeys(text for warper in self._warpers for text in warper.warnings))
+
+    def read(self, window: Window) -> SeriesCells:
+        """A window of the grid; beyond its edge there is no gradient."""
+        read = [self.read_date(index, window) for index in range(len(self))]
+        heights, stated = (np.stack(parts) for parts in zip(*read))
+        known = np.isfinite(heights)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = np.where(known, heights, np.float32(0)).sum(axis=0) / known.sum(axis=0, dtype=np.float32)
+        return SeriesCells(heights, stated, self.gradient_of(mean))
+
+    def read_date(self, index: int, window: Window) -> List[FloatImage]:
+        """Heights (rows, columns) of one date, NaN where they were filled in, and their stated errors, m."""
+        cells, move = self.grid.window(window), self.alignments[index]
+        heights = self._warpers[index].read(cells, move)
+        stated = np.ones(heights.shape, np.float32)
+        errors, source, flat = self._errors[index], self._sources[index], replace(move, dz=0.0)
+        if errors is not None:
+            stated = errors.read(cells, flat)
+            heights = np.where(np.isfinite(stated), heights, np.float32(np.nan))
+        if source is not None:
+            measured = source.read(cells, flat) < CHANGE.detection.filled
+            heights = np.where(measured, heights, np.float32(np.nan))
+        return [heights, stated]
+
+    def gradient_of(self, heights: FloatImage) -> FloatImage:
+        """How steep a surface is, m per m; NaN beside holes and at the edge."""
+        steep = np.full(heights.shape, np.nan, np.float32)
+        steep[1:-1, 1:-1] = gradient(heights, self.cell)
+        return steep
+
+    def samples(self) -> List[Window]:
+        """The grid as one window, or patches that are spread evenly over it where it is large."""
+        return sample_windows(self.grid, self.grid.bounds, EVALUATION.comparison)
+
+    def pair(self, before: int, after: int) -> PairOfDates:
+        return PairOfDates(self, before, after)
+
+
+class PairOfDates:
+    """Two dates of a stack, as :class:`~repm_qgis.change.surfaces.TwoDates`; ``measured`` is stable ground only where
+    the stack has areas."""
+
+    def __init__(self, stack: Stack, before: int, after: int) -> None:
+        self._stack, self._dates, self.cell = stack, (before, after), stack.cell
+
+    def samples(self) -> List[Window]:
+        return self._stack.samples()
+
+    def read(self, window: Window) -> Cells:
+        """A window of the grid, with the steepness of both dates' mean."""
+        (before, own), (after, others) = (self._stack.read_date(date, window) for date in self._dates)
+        measured = np.isfinite(before) & np.isfinite(after)
+        if self._stack.areas is not None:
+            measured &= self._stack.areas.numbers(window) == 0
+        steep = self._stack.gradient_of((before + after) / 2)
+        support = np.ones(before.shape, np.float32)
+        return Cells(before, after, np.hypot(own, others), measured, support, steep)
+
+
+def _common(lattice: Grid, grids: Sequence[Grid]) -> Grid:
+    """The cells of a grid, continued beyond its raster, that at least three rasters may cover: a frame around them."""
+    extents = np.array([bounds_on(grid, lattice) for grid in grids])
+    low, high = np.sort(extents[:, :2], axis=0)[LEAST_DATES - 1], np.sort(extents[:, 2:], axis=0)[-LEAST_DATES]
+    if not (low < high).all():
+        raise OverlapError(
+            "The DSMs have no ground in common that three of them cover: choose DSMs of one place, or correct a "
+            "wrongly assigned CRS."
+        )
+    columns, rows = lattice.to_cells(np.array([low[0], high[0]]), np.array([low[1], high[1]]))
+    first = (math.floor(min(place) + 1e-6) for place in (columns, rows))
+    last = (math.ceil(max(place) - 1e-6) for place in (columns, rows))
+    return lattice.window(Window.spanning(*first, *last))
