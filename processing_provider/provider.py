@@ -33,6 +33,7 @@ from .reconstruct import Reconstruct
 from .refine import Refine
 from .register import Register
 from .sampledata import SampleData
+from .series import Series
 from .viewer import Viewer
 
 ALGORITHMS = (
@@ -51,6 +52,7 @@ ALGORITHMS = (
     CheckGcps,
     Viewer,
     Change,
+    Series,
     SampleData,
     Environment,
     ExportCameras,

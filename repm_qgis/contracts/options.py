@@ -42,6 +42,9 @@ TERRAIN_TILE_PX = 1300
 VIEWER_CELLS = 4_000_000
 """Most cells of a page for the browser: it has 5 to 15 MB, and opens in seconds without a graphics card."""
 
+SERIES_DATES = 250
+"""Most DSMs of a series: the numbers of its dates are stored in a byte."""
+
 PRESETS: Dict[str, Dict[str, Any]] = {
     "none": {},
     "city": {"model": "polynomial", "method": "mean", "fill": "occlusions"},
@@ -646,6 +649,51 @@ class ChangeOptions(Options):
             lacking = "AFTER" if self.before_confidence else "BEFORE"
             both = "must be given where the other date's is: give both, or none"
             raise OptionError(f"{lacking}_CONFIDENCE", None, both)
+
+
+@dataclass(frozen=True)
+class SeriesOptions(Options):
+    """Follow one surface over three dates or more.
+
+    ``dsms`` in any order; ``dates`` are their times in the same order (days or ISO 8601), empty: those that the files
+    state. ``confidences`` names in that order rasters with the expected error of each height, "" where there is none;
+    empty: none at all. ``align`` moves each DSM onto the first by what did not change. ``areas`` are polygons whose
+    volumes are followed, outside of which the ground is stable; None: the outlines of what changed, of at least
+    ``min_area`` m2. ``output`` has a band of heights for each date; ``layers`` is a folder with a map layer of each;
+    ``trend``, ``changed``, ``volumes`` and ``table`` are the maps of the trend and of the dates of change, the
+    polygons and their table; None = not wanted. ``cluster`` as in ``ReconstructOptions``.
+    """
+
+    dsms: Tuple[str, ...] = field(metadata=_READ)
+    output: str = given()
+    dates: Tuple[str, ...] = ()
+    confidences: Tuple[str, ...] = read(())
+    align: str = choice("none", ALIGNMENTS)
+    areas: Optional[str] = read(None)
+    min_area: float = number(50.0, 0, 1e9, "m2")
+    trend: Optional[str] = None
+    changed: Optional[str] = None
+    volumes: Optional[str] = None
+    table: Optional[str] = None
+    layers: Optional[str] = None
+    report: Optional[str] = None
+    cluster: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not all(self.dsms) or not 3 <= len(self.dsms) <= SERIES_DATES:
+            many = f"must name 3 to {SERIES_DATES} DSMs: two dates have a change (repm:change), and no trend"
+            raise OptionError("DSMS", list(self.dsms), many)
+        places = [real_path(path) for path in self.dsms]
+        for path, place in zip(self.dsms, places):
+            if places.count(place) > 1:
+                raise OptionError("DSMS", path, "is named twice: name each DSM once")
+        for name, values in (("DATES", self.dates), ("CONFIDENCES", self.confidences)):
+            if values and len(values) != len(self.dsms):
+                count = f"{len(self.dsms)} values: one for each of DSMS, in their order"
+                raise OptionError(name, list(values), f"must be empty, or have {count}")
+        if self.table and not self.table.lower().endswith(".csv"):
+            raise OptionError("TABLE", self.table, "must end with .csv")
 
 
 @dataclass(frozen=True)

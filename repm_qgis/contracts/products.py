@@ -75,6 +75,20 @@ STYLES = (
         title="Level of detection",
     ),
     Style("change", "diverging", off=True, beside="significant", template="ramp", unit=" m"),
+    Style("changed", off=True, beside="trend", template="palette", title="First date of change"),
+    Style("changed_last", template="palette", band=2, view_of="changed", title="Last date of change"),
+    Style("trend", "diverging", template="ramp", unit=" m/a"),
+    Style(
+        "trend_error",
+        "viridis",
+        template="ramp",
+        unit=" m/a",
+        band=2,
+        view_of="trend",
+        title="Standard error of the trend",
+    ),
+    Style("dated", "elevation", off=True, beside="trend", template="ramp", unit=" m"),
+    Style("stack", "elevation", off=True, beside="trend", template="ramp", unit=" m"),
     Style("offsets"),
     Style("differences", "diverging", template="ramp", unit=" m", band=2, title="After the registration"),
     Style(
@@ -167,6 +181,12 @@ _HEIGHT_ERROR = "The DSM minus the reference in metres, cell by cell."
 _CHANGE = "AFTER minus BEFORE in metres, cell by cell, after the alignment."
 _SIGNIFICANT = "Band 1: what changed by more than the errors of both DSMs, m. Band 2: the level of detection, m."
 _VOLUMES = "Outlines of the significant changes, with area, heights, and volume with its uncertainty."
+_STACK = "A GeoTIFF with the heights of each date in a band of its own, all on the same cells, in metres."
+_TREND = "Metres per year: the median trend of each cell, its standard error and its 95 % interval."
+_CHANGED = "For each cell the number of the date at which a change is seen first, and of the one at which it had ended."
+_OVER_TIME = "The areas, with their volume at each date since the first, and its uncertainty."
+_TABLE = "The volume of each area at each date as CSV, for spreadsheets."
+_LAYERS = "A folder with a map layer for each date, which QGIS's temporal controller shows one after the other."
 _CHECKED = "The control points, with how far each of them is from where the RPCs, the scene and the DSM put it."
 _SAMPLES = "A folder for the images, the true surface (a DSM) and the ground control points."
 _REPORT = "A page for the browser with figures, pictures and warnings, in one file."
@@ -197,6 +217,7 @@ _REPORTS = {
     "errormap": "Report of the equivalent error",
     "comparedsm": "Report of the comparison",
     "change": "Report of the change",
+    "series": "Report of the series",
     "checkgcps": "Report of the control points",
     "exportrpc": "Report of the corrected RPCs",
 }
@@ -273,6 +294,12 @@ PRODUCTS = (
     Product("change", "output", "Difference of the dates", RASTER, ALWAYS, "change", help=_CHANGE),
     Product("change", "significant", "Significant change", RASTER, UNLESS_SKIPPED, "significant", help=_SIGNIFICANT),
     Product("change", "volumes", "Volumes of the changes", POLYGONS, UNLESS_SKIPPED, "volumes", help=_VOLUMES),
+    Product("series", "output", "Heights of all dates", RASTER, ALWAYS, "stack", help=_STACK),
+    Product("series", "trend", "Trend", RASTER, UNLESS_SKIPPED, "trend", help=_TREND),
+    Product("series", "changed", "Dates of change", RASTER, UNLESS_SKIPPED, "changed", help=_CHANGED),
+    Product("series", "volumes", "Volumes over time", POLYGONS, UNLESS_SKIPPED, "volumes", help=_OVER_TIME),
+    Product("series", "layers", "Layers of the dates", BUILT_FOLDER, UNLESS_SKIPPED, help=_LAYERS),
+    Product("series", "table", "Table of the volumes", FILE, filter="CSV (*.csv)", help=_TABLE),
     Product("viewer", "viewer", "Surface in the browser (3-D)", FILE, ALWAYS, filter=_HTML, help=_VIEWER),
     Product("sampledata", "folder", "Folder", FOLDER, ALWAYS, help=_SAMPLES),
     Product("sampledata", "truth", "True DSM", RASTER, style="dsm"),

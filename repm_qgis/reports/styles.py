@@ -23,6 +23,11 @@ which; this module fills in what depends on the data (the range, and the colours
 | offsets | arrows of the shift that each part of a scene would need, labelled with that of the height | given |
 | change, significant | AFTER - BEFORE of two dates, m, as dsm_error; where it is significant | the usual change |
 | significant_level | the level of detection in m, from dark (none) to bright | 0..98 % |
+| trend | m per year, as dsm_error | symmetric about 0 |
+| trend_error | its standard error, from dark (none) to bright | 0..98 % |
+| changed, changed_last | the first and the last date of change, each with its colour and day | all |
+| stack | elevation colours of the first date of a series | 2..98 % of its heights |
+| dated | the heights of one date of a series, with its period | given |
 | volumes | polygons by gain and loss, labelled with their volume in m3 | none |
 | gcps | points by ``height_error``, labelled, arrows of their errors | fixed classes in m |
 """
@@ -35,11 +40,12 @@ import math
 import os
 import re
 from pathlib import Path
-from typing import List, Optional, Tuple
+from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 
 from ..contracts.arrays import FloatImage
+from ..contracts.checks import as_text
 from ..contracts.errors import OptionError
 from ..contracts.products import STYLES, Style
 from ..imagery.raster import opened
@@ -49,8 +55,8 @@ from .pictures import CLASSES, RAMPS, colour_limits, percentile_range, preview, 
 from .templates import RESOURCES
 
 _SAMPLE_PX = 1200
-_FROM_ZERO = ("error", "confidence", "object_heights", "significant_level")
-_AROUND_ZERO = ("dsm_error", "differences", "differences_before", "change", "significant")
+_FROM_ZERO = ("error", "confidence", "object_heights", "significant_level", "trend_error")
+_AROUND_ZERO = ("dsm_error", "differences", "differences_before", "change", "significant", "trend")
 
 
 def write_style(
@@ -78,7 +84,7 @@ def style_text(
     ``limits`` set a raster's range, so that maps that belong together have the same colours; a cloud (``ept``) and a
     ``mesh`` need them (see :func:`height_limits`). For ``gcps`` and ``offsets`` the second limit is the length in
     metres that an arrow of 10 mm shows. ``taken`` is when the first and the last image of an ``ortho`` or of
-    ``footprints`` were taken, ISO 8601.
+    ``footprints`` were taken, or the period of a ``dated`` layer, ISO 8601.
 
     Raises OptionError for an unknown kind, ImageError for a raster that cannot be read.
     """
@@ -176,6 +182,9 @@ def _filled(template: str, style: Style, low: float, high: float) -> str:
 def _entries(style: Style, path: str | os.PathLike[str]) -> List[str]:
     """The colours and names of a discrete raster's values."""
     with opened(os.fspath(path)) as dataset:
+        dates = [name for name in dataset.GetMetadata() if name.startswith("DATE_")]
+        if dates:
+            return _entries_of_dates([as_text(dataset.GetMetadataItem(f"DATE_{n}")) for n in range(1, len(dates) + 1)])
         # What the file states, or else what it holds.
         handle = dataset.GetRasterBand(min(style.band, dataset.RasterCount))
         most = handle.GetMaximum()
@@ -189,10 +198,17 @@ def _entries(style: Style, path: str | os.PathLike[str]) -> List[str]:
     else:
         table = ramp_table("viridis", max(highest, 1))
         named = [(value, str(value), "#" + bytes(table[value - 1]).hex()) for value in files]
-    return [
-        f'        <paletteEntry value="{value}" color="{colour}" alpha="255" label="{html.escape(name)}"/>'
-        for value, name, colour in named
-    ]
+    return [_entry(*each) for each in named]
+
+
+def _entries_of_dates(labels: Sequence[str]) -> List[str]:
+    """The colours of dates by their numbers, and their days as names."""
+    colours = ramp_table("viridis", len(labels))
+    return [_entry(value, label, "#" + bytes(colours[value - 1]).hex()) for value, label in enumerate(labels, start=1)]
+
+
+def _entry(value: int, name: str, colour: str) -> str:
+    return f'        <paletteEntry value="{value}" color="{colour}" alpha="255" label="{html.escape(name)}"/>'
 
 
 def _temporal(kind: str, taken: Optional[Tuple[str, str]]) -> str:

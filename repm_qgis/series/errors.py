@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Dict, List, Optional, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -28,12 +28,15 @@ class DateErrors:
     offset_m: FloatArray
     usual_m: FloatArray
 
-    def of_cells(self, cells: SeriesCells, offsets: bool = True) -> FloatImage:
-        """(dates, rows, columns) standard deviations of the heights, m, with or without those offsets."""
+    def of_cells(self, cells: SeriesCells, dates: Sequence[int] = (), offsets: bool = True) -> FloatImage:
+        """(dates, rows, columns) standard deviations of the heights of all dates or of some, m, with or without those
+        offsets."""
+        chosen = list(dates or range(len(self.scale)))
         plan = CHANGE.errors
         steep = np.minimum(np.nan_to_num(cells.gradient), np.float32(plan.steepest))
         scale, horizontal, offset = (
-            values.astype(np.float32)[:, None, None] for values in (self.scale, self.horizontal_m, self.offset_m)
+            values[chosen].astype(np.float32)[:, None, None]
+            for values in (self.scale, self.horizontal_m, self.offset_m)
         )
         heights = np.maximum(scale * cells.stated, np.float32(plan.least_error_m))
         errors = np.hypot(heights, horizontal * steep)
@@ -90,7 +93,9 @@ def _usual_stated(stack: Stack) -> FloatArray:
 def _shared(variances: Dict[Tuple[int, int], float], count: int) -> FloatArray:
     """(dates,) variances whose sums are those of the pairs, by least squares, none below a small share of a pair's."""
     values = np.full(count, np.mean(list(variances.values())) / 2)
-    of_date = [[(sum(pair) - date, value) for pair, value in variances.items() if date in pair] for date in range(count)]
+    of_date = [
+        [(sum(pair) - date, value) for pair, value in variances.items() if date in pair] for date in range(count)
+    ]
     for _ in range(_ROUNDS):
         for date, others in enumerate(of_date):
             if others:

@@ -20,7 +20,6 @@ class SeriesParameters(Parameters):
     least_block_cells: int = 128  # and at least
     offset_errors: float = 0.5  # an offset of a date is worth a warning from so many of its errors on ...
     least_offset_m: float = 0.05  # ... and not below; chosen
-    most_dates: int = 250  # their numbers are stored in a byte
 
 
 SERIES = SeriesParameters()

@@ -85,9 +85,9 @@ class Stack:
     def warnings(self) -> List[str]:
         return list(dict.fromkeys(text for warper in self._warpers for text in warper.warnings))
 
-    def read(self, window: Window) -> SeriesCells:
-        """A window of the grid; beyond its edge there is no gradient."""
-        read = [self.read_date(index, window) for index in range(len(self))]
+    def read(self, window: Window, dates: Sequence[int] = ()) -> SeriesCells:
+        """A window of the grid, of all dates or some; beyond the grid's edge there is no gradient."""
+        read = [self.read_date(index, window) for index in dates or range(len(self))]
         heights, stated = (np.stack(parts) for parts in zip(*read))
         known = np.isfinite(heights)
         with np.errstate(invalid="ignore", divide="ignore"):

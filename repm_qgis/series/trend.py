@@ -68,9 +68,7 @@ def interval_rank(dates: int, share: float) -> int:
     return rank
 
 
-def trends(
-    years: FloatArray, heights: FloatImage, errors: FloatImage, parameters: SeriesParameters = SERIES
-) -> Trends:
+def trends(years: FloatArray, heights: FloatImage, errors: FloatImage, parameters: SeriesParameters = SERIES) -> Trends:
     """Trends of (dates, rows, columns) heights in m at times (dates,) in years, NaN where a date has none; ``errors``
     are their standard deviations, m."""
     shape = heights.shape[1:]

@@ -37,6 +37,7 @@ STAGES: dict[str, type[_options.Options]] = {
     "editdsm": _options.EditDsmOptions,
     "comparedsm": _options.CompareDsmOptions,
     "change": _options.ChangeOptions,
+    "series": _options.SeriesOptions,
     "checkgcps": _options.CheckGcpsOptions,
     "viewer": _options.ViewerOptions,
     "sampledata": _options.SampleDataOptions,

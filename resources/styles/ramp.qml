@@ -1,6 +1,6 @@
 <!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
-<qgis version="3.22.0" styleCategories="Symbology|Elevation" hasScaleBasedVisibilityFlag="0" maxScale="0" minScale="1e+08">
-  <elevation enabled="@elevation@" symbology="FillBelow" band="1" zscale="1" zoffset="0"/>
+<qgis version="3.22.0" styleCategories="Symbology|Elevation|Temporal" hasScaleBasedVisibilityFlag="0" maxScale="0" minScale="1e+08">
+@temporal@  <elevation enabled="@elevation@" symbology="FillBelow" band="1" zscale="1" zoffset="0"/>
   <pipe>
     <provider>
       <resampling enabled="true" maxOversampling="2" zoomedInResamplingMethod="cubic" zoomedOutResamplingMethod="bilinear"/>

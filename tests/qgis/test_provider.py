@@ -38,6 +38,7 @@ PARAMETERS = {
     "comparedsm": "DSM REFERENCE ALIGN THRESHOLDS OTHERS CLASSES PROFILES CLUSTER ERROR REPORT",
     "change": "BEFORE AFTER BEFORE_CONFIDENCE AFTER_CONFIDENCE ALIGN MIN_AREA CLUSTER "
     "OUTPUT SIGNIFICANT VOLUMES REPORT",
+    "series": "DSMS DATES AREAS ALIGN MIN_AREA CONFIDENCES CLUSTER OUTPUT TREND CHANGED VOLUMES LAYERS TABLE REPORT",
     "checkgcps": "GCPS SCENE DSM GCP_DATUM OUTPUT REPORT",
     "viewer": "DSM ORTHO CONFIDENCE DIFFERENCE CELLS VIEWER",
     "sampledata": "KIND SIZE SEED FOLDER",
@@ -61,6 +62,8 @@ OUTPUTS = {
     "editdsm": "OUTPUT EDITED_CONFIDENCE EDITS EDITED_CELLS",
     "change": "OUTPUT SIGNIFICANT VOLUMES REPORT CHANGES GAINED_M3 GAINED_DEVIATION_M3 LOST_M3 LOST_DEVIATION_M3 "
     "LEVEL_M",
+    "series": "OUTPUT TREND CHANGED VOLUMES LAYERS TABLE REPORT MAPS N_DATES RISING_M2 FALLING_M2 VOLUME_M3 "
+    "VOLUME_DEVIATION_M3",
     "checkgcps": "OUTPUT REPORT "
     + " ".join(
         f"{by}_{figure}" for by in ("RPC", "COMPENSATED", "SCENE", "DSM") for figure in ("MEDAE", "RMSE", "LE90", "MAX")
@@ -133,7 +136,7 @@ def test_the_toolbox_shows_the_order_of_the_work(provider):
         "inspect",
         "pipeline",
         "dsm_by_stages",
-        *("comparedsm", "checkgcps", "viewer", "change"),
+        *("comparedsm", "checkgcps", "viewer", "change", "series"),
         *("editdsm", "dtm", "mosaic"),
         "epmfit",
         "errormap",

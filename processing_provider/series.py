@@ -1,0 +1,150 @@
+"""repm:series."""
+
+from __future__ import annotations
+
+import os
+import re
+from typing import Any, Mapping
+
+from qgis.core import (
+    QgsProcessing,
+    QgsProcessingContext,
+    QgsProcessingFeedback,
+    QgsProcessingOutputMultipleLayers,
+    QgsProcessingOutputNumber,
+    QgsProcessingParameterMultipleLayers,
+    QgsProcessingParameterString,
+    QgsProcessingUtils,
+)
+
+from ..repm_qgis.contracts.options import SeriesOptions
+from . import parameters, styles
+from .base import RepmAlgorithm
+
+
+def dates(text: str) -> list[str]:
+    """Days or times between commas or semicolons."""
+    return [word.strip() for word in re.split(r"[,;]", text or "") if word.strip()]
+
+
+class Series(RepmAlgorithm):
+    """Follows one surface over three dates or more."""
+
+    ID = "series"
+    GROUP = "evaluation"
+    STEP = 5
+    TAGS = "time series,trend,Theil-Sen,glacier,mass balance,quarry,subsidence,temporal,volume over time"
+    HEAVY = False
+
+    def title(self) -> str:
+        return self.tr("Follow a surface over many dates")
+
+    def shortDescription(self) -> str:
+        return self.tr("Trend of each cell with its error, dates of change and volumes over time, of three DSMs or more.")
+
+    def parameters(self) -> list:
+        return [
+            parameters.helped(
+                parameters.Rasters("DSMS", self.tr("DSMs of all dates"), QgsProcessing.SourceType.TypeRaster),
+                self.tr(
+                    "Three or more rasters of heights in metres, in any order and any CRS, with heights of one datum. "
+                    "Register them before, or set the alignment."
+                ),
+            ),
+            parameters.helped(
+                QgsProcessingParameterString("DATES", self.tr("Dates of the DSMs"), "", optional=True),
+                self.tr(
+                    "One for each DSM, in the order of the DSMs, with commas between: 2022-05-01, 2023-04-17, ... "
+                    "Empty: the files say it, as DSMs of this plugin and STAC items beside them do."
+                ),
+            ),
+            parameters.helped(
+                parameters.Points(
+                    "AREAS",
+                    self.tr("Areas whose volumes are wanted"),
+                    [QgsProcessing.SourceType.TypeVectorPolygon],
+                    optional=True,
+                ),
+                self.tr(
+                    "Polygons such as glaciers or quarries, named by their field 'name'; the ground outside of them is "
+                    "taken as stable. Empty: what changed significantly is outlined."
+                ),
+            ),
+            parameters.choice(
+                SeriesOptions,
+                "align",
+                self.tr("Alignment on stable ground"),
+                self.tr(
+                    "none: offsets of the dates are reported and counted as errors; vertical: each DSM is moved up or "
+                    "down until it agrees with the first where nothing changed; 3d: in all three axes."
+                ),
+            ),
+            parameters.number(
+                SeriesOptions,
+                "min_area",
+                self.tr("Smallest area (m²)"),
+                self.tr("Smaller areas of change are not outlined; areas that you give have any size."),
+            ),
+            parameters.advanced(
+                parameters.helped(
+                    QgsProcessingParameterMultipleLayers(
+                        "CONFIDENCES",
+                        self.tr("Confidence rasters"),
+                        QgsProcessing.SourceType.TypeFile,
+                        optional=True,
+                    ),
+                    self.tr(
+                        "One raster for each DSM, in the order of the DSMs: this plugin's confidence raster, or one "
+                        "band with the expected error in metres. Heights that were filled in do not count then, and "
+                        "each height has its own error. Empty: one error for each date, found where nothing changed."
+                    ),
+                )
+            ),
+            parameters.cluster(),
+            *(
+                parameters.product(self.ID, name)
+                for name in ("output", "trend", "changed", "volumes", "layers", "table", "report")
+            ),
+        ]
+
+    def extra_outputs(self) -> list:
+        return [
+            QgsProcessingOutputMultipleLayers("MAPS", self.tr("Layers of the dates")),
+            *(
+                QgsProcessingOutputNumber(name, label)
+                for name, label in (
+                    ("N_DATES", self.tr("Number of dates")),
+                    ("RISING_M2", self.tr("Ground that rises significantly (m²)")),
+                    ("FALLING_M2", self.tr("Ground that falls significantly (m²)")),
+                    ("VOLUME_M3", self.tr("Volume of the first area at the last date (m³)")),
+                    ("VOLUME_DEVIATION_M3", self.tr("Its standard deviation (m³)")),
+                )
+            ),
+        ]
+
+    def complete(self, options: dict[str, Any]) -> dict[str, Any]:
+        return {**options, "dates": dates(options["dates"])}
+
+    def processAlgorithm(
+        self, parameters: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
+    ) -> dict[str, Any]:
+        made = super().processAlgorithm(parameters, context, feedback)
+        if context.project() is not None and made.get("MAPS"):
+            self._load(made["MAPS"], context)
+        return made
+
+    def _load(self, maps: list[str], context: QgsProcessingContext) -> None:
+        """Have the layer of each date loaded: QGIS knows their folder as the result, and loads no folder."""
+        run = styles.Run(self._scene_name(self._inputs))
+        for path in maps:
+            stem = os.path.splitext(path)[0]
+            name = run.name(self.tr("Heights"), os.path.basename(stem))
+            styles.load_too(context, path, QgsProcessingUtils.LayerHint.Raster, name, "dated", run, f"{stem}.qml")
+
+    def _scene_name(self, options: Mapping[str, Any]) -> str:
+        from ..repm_qgis.names import dates_name
+
+        return dates_name(*options["dsms"])
+
+    def _days(self, options: Mapping[str, Any], result: Mapping[str, Any]) -> list[str]:
+        return [label.split(" ")[0] for label in result["dates"]]

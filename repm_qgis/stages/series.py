@@ -1,0 +1,74 @@
+"""Follow one surface over three dates or more: a stack, trends, dates of change, volumes over time and a report."""
+
+from __future__ import annotations
+
+from typing import Any, Dict
+
+from ..contracts.options import SeriesOptions
+from ..names import dates_title
+from ..reports.styles import write_style
+from ..runtime.parallel import run_whole
+from ..runtime.progress import Part, Progress, counted
+from ..series.finding import FoundSeries, find_series
+from ..series.layers import write_layers
+from ..series.page import series_page
+
+
+def run(options: SeriesOptions, progress: Progress) -> Dict[str, Any]:
+    """Follow the surface; see docs/algorithms/series.md for what is significant.
+
+    Raises ImageError, OverlapError, OptionError, InputTableError, EmptyResultError, WorkspaceError.
+    """
+    result: Dict[str, Any] = run_whole(_followed, options, progress, "following a surface over time")
+    return result
+
+
+def _followed(options: SeriesOptions, progress: Progress) -> Dict[str, Any]:
+    found = find_series(options, Part(progress, 0.0, 0.92))
+    for text in found.warnings:
+        progress.warn(text)
+    for kind, path in (("stack", options.output), ("changed", options.changed), ("volumes", options.volumes)):
+        if path:
+            write_style(kind, path)
+    if options.trend:
+        write_style("trend", options.trend, (-found.shown_m_a, found.shown_m_a))
+    made = write_layers(options.layers, options.output, found.series) if options.layers else []
+    if options.report:
+        progress.step(0.95, "Report")
+        paths = [each.path for each in found.series]
+        series_page(options, found).of(dates_title(*paths)).write(options.report)
+    _log(found, progress)
+    progress.step(1.0, "Done")
+    first = found.areas[0] if found.areas else None
+    return {
+        "output": options.output,
+        "trend": options.trend,
+        "changed": options.changed,
+        "volumes": options.volumes,
+        "table": options.table,
+        "layers": options.layers,
+        "report": options.report,
+        "dates": [each.label for each in found.series],
+        "maps": made,
+        "n_dates": len(found.series),
+        "areas": len(found.areas),
+        "rising_m2": found.rising,
+        "falling_m2": found.falling,
+        "volume_m3": float(first.volume[first.last]) if first else 0.0,
+        "volume_deviation_m3": float(first.deviation[first.last]) if first else 0.0,
+        "offsets_m": [float(offset) for offset in found.offsets],
+        "errors_m": [float(error) for error in found.errors.usual_m],
+    }
+
+
+def _log(found: FoundSeries, progress: Progress) -> None:
+    for date, offset, error, moved in zip(found.series, found.offsets, found.errors.usual_m, found.alignments):
+        did = "" if moved.method == "none" else ", which was removed"
+        progress.info(
+            f"{date.label}: heights are uncertain by {error:.2f} m on level ground, and lie {offset:+.3f} m from those "
+            f"of the first date where nothing changed{did}."
+        )
+    progress.info(
+        f"The surface rises significantly on {found.rising:.0f} m2 and falls on {found.falling:.0f} m2; dates of change "
+        f"are known on {found.changed:.0f} m2, in {counted(len(found.areas), 'area')}."
+    )
