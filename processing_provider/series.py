@@ -40,7 +40,9 @@ class Series(RepmAlgorithm):
         return self.tr("Follow a surface over many dates")
 
     def shortDescription(self) -> str:
-        return self.tr("Trend of each cell with its error, dates of change and volumes over time, of three DSMs or more.")
+        return self.tr(
+            "Trends with their errors, dates of change and volumes over time, from three DSMs or more."
+        )
 
     def parameters(self) -> list:
         return [
@@ -135,7 +137,7 @@ class Series(RepmAlgorithm):
 
     def _load(self, maps: list[str], context: QgsProcessingContext) -> None:
         """Have the layer of each date loaded: QGIS knows their folder as the result, and loads no folder."""
-        run = styles.Run(self._scene_name(self._inputs))
+        run = styles.Run(self._scene_name(self._inputs), self._taken)
         for path in maps:
             stem = os.path.splitext(path)[0]
             name = run.name(self.tr("Heights"), os.path.basename(stem))
@@ -147,4 +149,5 @@ class Series(RepmAlgorithm):
         return dates_name(*options["dsms"])
 
     def _days(self, options: Mapping[str, Any], result: Mapping[str, Any]) -> list[str]:
-        return [label.split(" ")[0] for label in result["dates"]]
+        self._taken = [label.split(" ")[0] for label in result["dates"]]
+        return self._taken

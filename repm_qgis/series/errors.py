@@ -34,10 +34,8 @@ class DateErrors:
         chosen = list(dates or range(len(self.scale)))
         plan = CHANGE.errors
         steep = np.minimum(np.nan_to_num(cells.gradient), np.float32(plan.steepest))
-        scale, horizontal, offset = (
-            values[chosen].astype(np.float32)[:, None, None]
-            for values in (self.scale, self.horizontal_m, self.offset_m)
-        )
+        of_dates = (self.scale, self.horizontal_m, self.offset_m)
+        scale, horizontal, offset = (values[chosen].astype(np.float32)[:, None, None] for values in of_dates)
         heights = np.maximum(scale * cells.stated, np.float32(plan.least_error_m))
         errors = np.hypot(heights, horizontal * steep)
         return np.hypot(errors, offset) if offsets else errors
@@ -93,9 +91,8 @@ def _usual_stated(stack: Stack) -> FloatArray:
 def _shared(variances: Dict[Tuple[int, int], float], count: int) -> FloatArray:
     """(dates,) variances whose sums are those of the pairs, by least squares, none below a small share of a pair's."""
     values = np.full(count, np.mean(list(variances.values())) / 2)
-    of_date = [
-        [(sum(pair) - date, value) for pair, value in variances.items() if date in pair] for date in range(count)
-    ]
+    known = variances.items()
+    of_date = [[(sum(pair) - date, value) for pair, value in known if date in pair] for date in range(count)]
     for _ in range(_ROUNDS):
         for date, others in enumerate(of_date):
             if others:

@@ -33,15 +33,16 @@ from .errors import DateErrors, errors_of_dates
 from .parameters import SERIES, SeriesParameters
 from .surfaces import Stack
 from .times import DatedDsm, dated, years_of
-from .trend import change_dates, trends
+from .trend import change_dates, interval_rank, trends
 
 TREND_BANDS = (
     "trend (m per year)",
     "standard error of the trend (m per year)",
+    "dates with a height",
     "lower end of the 95 % interval (m per year)",
     "upper end of the 95 % interval (m per year)",
-    "dates with a height",
 )
+_PLAIN_BANDS = 3  # where there are too few dates for an interval
 DATE_BANDS = ("number of the first date of change", "number of the last date of change")
 _PICTURES = ("heights", "trend", "first", "last")
 
@@ -117,6 +118,8 @@ class _Work:
         self._progress, self._parameters = progress, parameters
         self._years = years_of(series)
         self._grid, self._cell_m = surfaces.grid, math.sqrt(surfaces.cell_m2)
+        interval = interval_rank(len(series), parameters.share) > 0
+        self._bands = len(TREND_BANDS) if interval else _PLAIN_BANDS
         self._thumbnails = Thumbnails(self._grid.size, _PICTURES)
         dates, errors = len(series), CHANGE.errors
         self._known = np.zeros(dates, np.int64)
@@ -216,7 +219,7 @@ class _Work:
         dates = change_dates(cells.heights, spread, self._parameters)
         signs = coherent_signs(np.where(found.signs != 0, found.signs, dates.sign))[rows, columns]
         changed = [np.where(signs != 0, values[rows, columns], 0) for values in (dates.first, dates.last)]
-        bands = [values[rows, columns] for values in (found.slope, found.error, found.low, found.high, found.count)]
+        bands = [values[rows, columns] for values in (found.slope, found.error, found.count, found.low, found.high)]
         plain = errors.of_cells(cells, offsets=False)[:, rows, columns]
         return _Block(cells.heights[:, rows, columns], plain, bands, changed, signs)
 
@@ -235,18 +238,19 @@ class _Work:
         signs = f"{self._folder}/signs.tif", shape, byte, 1, place, flat
         yield raster.created(*signs, nodata=None, own=True)
         if self._options.trend:
-            trend = self._options.trend, shape, float_kind, len(TREND_BANDS), place, flat
-            yield raster.created(*trend, descriptions=TREND_BANDS, **more)
+            bands = TREND_BANDS[: self._bands]
+            trend = self._options.trend, shape, float_kind, len(bands), place, flat
+            yield raster.created(*trend, descriptions=bands, **more)
         if self._options.changed:
             changed = self._options.changed, shape, byte, len(DATE_BANDS), place, flat
             yield raster.created(*changed, descriptions=DATE_BANDS, nodata=0, overviews="NEAREST", **more)
 
     def _layers(self, block: _Block) -> Iterator[Sequence[Any]]:
         """The bands of each raster in a block."""
-        yield block.heights
+        yield list(block.heights)
         yield [np.where(block.signs > 0, GAIN, np.where(block.signs < 0, LOSS, 0)).astype(np.uint8)]
         if self._options.trend:
-            yield block.trend
+            yield block.trend[: self._bands]
         if self._options.changed:
             yield [values.astype(np.uint8) for values in block.changed]
 
@@ -303,8 +307,8 @@ class _Work:
         if isinstance(areas, Areas):
             return areas, areas.names, areas.outlines()
         least = max(1, math.ceil(self._options.min_area / self._surfaces.cell_m2 - 1e-9))
-        files = (f"{self._folder}/{name}.tif" for name in ("signs", "large"))
-        outlines = Outlines(*files, self._grid, least, progress.check_cancelled)
+        signs, large = (f"{self._folder}/{name}.tif" for name in ("signs", "large"))
+        outlines = Outlines(signs, large, self._grid, least, progress.check_cancelled)
         named = outlined(outlines)
         return outlines, list(named), list(named.values())
 
@@ -333,7 +337,7 @@ class _Work:
 
 
 def coherent_signs(signs: IntArray) -> IntArray:
-    """Signs (rows, columns) where enough of the neighbours have the same (the spatial coherence of Wheaton et al. 2010),
+    """Signs (rows, columns) where enough of the neighbours have the same (the coherence of Wheaton et al. 2010),
     and those beside them; 0 elsewhere."""
     plan = CHANGE.detection
     side = 2 * plan.coherent_radius + 1
@@ -358,7 +362,8 @@ def _standardised(heights: FloatImage, errors: FloatImage, stable: Mask, offsets
     plain = heights - offsets.astype(np.float32)[:, None, None]
     with np.errstate(invalid="ignore", divide="ignore"):
         result = (plain - plain[0]) / np.hypot(errors, errors[0])
-        return np.where(stable & (np.abs(result) <= CHANGE.errors.stable), result, np.float32(np.nan))
+        good = stable & (np.abs(result) <= CHANGE.errors.stable)
+        return np.asarray(np.where(good, result, np.float32(np.nan)))
 
 
 def _sampled(values: FloatImage, factor: int) -> FloatImage:
@@ -371,7 +376,7 @@ def _sampled(values: FloatImage, factor: int) -> FloatImage:
 
 def _latest(heights: FloatImage) -> FloatImage:
     """The heights of the last date that has one."""
-    result = heights[0]
+    result: FloatImage = heights[0]
     for values in heights[1:]:
-        result = np.where(np.isfinite(values), values, result)
+        result = np.asarray(np.where(np.isfinite(values), values, result))
     return result

@@ -11,6 +11,7 @@ from ..contracts.arrays import ByteImage, FloatArray, FloatImage
 from ..contracts.options import SeriesOptions
 from ..reports import charts, pictures
 from ..reports.report import Report, fixed
+from ..reports.templates import Drawing
 from .areas import AreaOverTime
 from .finding import FoundSeries
 
@@ -67,7 +68,7 @@ def _volumes(page: Report, options: SeriesOptions, found: FoundSeries) -> None:
     page.facts([(name, path) for name, path in files if path])
 
 
-def volume_chart(years: FloatArray, areas: List[AreaOverTime]) -> charts.Drawing:
+def volume_chart(years: FloatArray, areas: List[AreaOverTime]) -> Drawing:
     """Lines of volumes (m3) over the years since the first date, with a bar of the deviation at each date."""
     lines: Dict[str, Tuple[FloatArray, FloatArray]] = {}
     for each in areas:

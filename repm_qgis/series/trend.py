@@ -26,8 +26,8 @@ NORMAL_LEVEL = NormalDist().inv_cdf(0.975)
 class Trends:
     """(rows, columns) each: m per year, NaN where fewer than three dates have a height.
 
-    ``error`` is the standard error that the dates' own errors give; ``low`` and ``high`` the ends of Sen's interval, NaN
-    where the dates are too few for one (fewer than five for 95 %). ``count``: dates with a height.
+    ``error`` is the standard error that the dates' own errors give; ``low`` and ``high`` the ends of Sen's interval,
+    NaN where the dates are too few for one (fewer than five for 95 %). ``count``: dates with a height.
     """
 
     slope: FloatImage
@@ -187,7 +187,7 @@ def _departure(smooth: FloatImage, errors: FloatImage, count: IntArray, paramete
     with np.errstate(invalid="ignore", divide="ignore"):
 
         def beyond(one: int, other: int) -> FloatImage:
-            return np.abs(smooth[one] - smooth[other]) / (level * np.hypot(errors[one], errors[other]))
+            return np.asarray(np.abs(smooth[one] - smooth[other]) / (level * np.hypot(errors[one], errors[other])))
 
         for index in range(len(smooth) - 1, 0, -1):
             size = beyond(index, 0)

@@ -69,6 +69,6 @@ def _log(found: FoundSeries, progress: Progress) -> None:
             f"of the first date where nothing changed{did}."
         )
     progress.info(
-        f"The surface rises significantly on {found.rising:.0f} m2 and falls on {found.falling:.0f} m2; dates of change "
-        f"are known on {found.changed:.0f} m2, in {counted(len(found.areas), 'area')}."
+        f"The surface rises significantly on {found.rising:.0f} m2 and falls on {found.falling:.0f} m2; dates of "
+        f"change are known on {found.changed:.0f} m2, in {counted(len(found.areas), 'area')}."
     )

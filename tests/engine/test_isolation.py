@@ -34,7 +34,8 @@ def test_every_module_imports_without_qgis():
 
 
 LIGHT = [
-    f"stages.{name}" for name in ("epmfit", "errormap", "exportrpc", "comparedsm", "change", "series", "checkgcps", "environment")
+    f"stages.{name}"
+    for name in ("epmfit", "errormap", "exportrpc", "comparedsm", "change", "series", "checkgcps", "environment")
 ]
 
 
