@@ -40,9 +40,7 @@ class Series(RepmAlgorithm):
         return self.tr("Follow a surface over many dates")
 
     def shortDescription(self) -> str:
-        return self.tr(
-            "Trends with their errors, dates of change and volumes over time, from three DSMs or more."
-        )
+        return self.tr("Trends with their errors, dates of change and volumes over time, from three DSMs or more.")
 
     def parameters(self) -> list:
         return [

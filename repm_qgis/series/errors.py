@@ -14,6 +14,7 @@ from ..contracts.errors import EmptyResultError
 from ..runtime.progress import Progress
 from .surfaces import SeriesCells, Stack
 
+_STEPS = (1, 2, 3)  # between the dates of a pair: triangles are needed, and the third makes them surer
 _ROUNDS = 200  # of a solution in which each date's variance follows from those of the others
 _LEAST_SHARE = 0.05  # of a pair's variance that each of its dates has at least
 
@@ -42,7 +43,7 @@ class DateErrors:
 
 
 def errors_of_dates(stack: Stack, offsets: FloatArray, progress: Progress) -> DateErrors:
-    """Solve the variances of all dates from those of pairs of dates that follow each other, or have one between them.
+    """Solve the variances of all dates from those of pairs of dates at most three places apart.
 
     ``offsets`` (dates,) is how far each date lies above the first where nothing changed, m. What the user has not had
     removed counts as an error of its own, about the median of all dates. Raises EmptyResultError where a date has too
@@ -53,7 +54,7 @@ def errors_of_dates(stack: Stack, offsets: FloatArray, progress: Progress) -> Da
     heights: Dict[Tuple[int, int], float] = {}
     places: Dict[Tuple[int, int], float] = {}
     failed: Optional[EmptyResultError] = None
-    pairs = [(i, j) for step in (1, 2) for i, j in zip(range(count), range(step, count))]
+    pairs = [(i, j) for step in _STEPS for i, j in zip(range(count), range(step, count))]
     for index, (before, after) in enumerate(pairs):
         progress.check_cancelled()
         progress.step(index / len(pairs), f"pair {index + 1} of {len(pairs)}")
@@ -89,7 +90,10 @@ def _usual_stated(stack: Stack) -> FloatArray:
 
 
 def _shared(variances: Dict[Tuple[int, int], float], count: int) -> FloatArray:
-    """(dates,) variances whose sums are those of the pairs, by least squares, none below a small share of a pair's."""
+    """(dates,) variances whose sums are those of the pairs, by least squares, none below a small share of a pair's.
+
+    The variance of a pair is known to a share of itself, so that noisy pairs count for less.
+    """
     values = np.full(count, np.mean(list(variances.values())) / 2)
     known = variances.items()
     of_date = [[(sum(pair) - date, value) for pair, value in known if date in pair] for date in range(count)]
@@ -97,5 +101,6 @@ def _shared(variances: Dict[Tuple[int, int], float], count: int) -> FloatArray:
         for date, others in enumerate(of_date):
             if others:
                 least = _LEAST_SHARE * min(value for _, value in others)
-                values[date] = max(least, float(np.mean([value - values[other] for other, value in others])))
+                own = [value - values[other] for other, value in others]
+                values[date] = max(least, float(np.average(own, weights=[value**-2.0 for _, value in others])))
     return values

@@ -4,7 +4,7 @@ no result."""
 from __future__ import annotations
 
 import math
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from typing import Any, ContextManager, Dict, Iterator, List, Sequence, Tuple
 
@@ -31,9 +31,9 @@ from ..runtime.workspace import temporary_folder
 from .areas import AreaOverTime, Areas, AreaSums, outlined, require_inside, write_areas, write_table
 from .errors import DateErrors, errors_of_dates
 from .parameters import SERIES, SeriesParameters
-from .surfaces import Stack
+from .surfaces import SeriesCells, Stack
 from .times import DatedDsm, dated, years_of
-from .trend import change_dates, interval_rank, trends
+from .trend import ChangeDates, Trends, around, change_dates, coherent_signs, interval_rank, trends
 
 TREND_BANDS = (
     "trend (m per year)",
@@ -136,7 +136,12 @@ class _Work:
             surfaces.areas = Areas(self._options.areas, self._grid)
         offsets = self._aligned(Part(progress, 0.0, 0.15))
         removed = self._options.align != "none"
-        errors = errors_of_dates(surfaces, np.zeros_like(offsets) if removed else offsets, Part(progress, 0.15, 0.25))
+        left = np.zeros_like(offsets) if removed else offsets
+        errors = errors_of_dates(surfaces, left, Part(progress, 0.15, 0.18))
+        with suppress(EmptyResultError):  # nearly all of it changes: then the first errors are the best that is known
+            for start in (0.18, 0.21):  # what changes is seen the better, the less of it is taken as stable
+                self._set_moving(errors)
+                errors = errors_of_dates(surfaces, left, Part(progress, start, start + 0.03))
         self._maps(errors, Part(progress, 0.25, 0.75))
         if not self._signs.sum():
             raise EmptyResultError(
@@ -176,6 +181,21 @@ class _Work:
                 self._surfaces.alignments[date] = found
         return np.array(offsets)
 
+    def _set_moving(self, errors: DateErrors) -> None:
+        """Note which cells of the samples change significantly: they, and what is beside them, are no stable ground."""
+        for window in self._surfaces.samples():
+            self._progress.check_cancelled()
+            cells = self._surfaces.read(window)
+            signs = self._significant(cells, errors)[2]
+            self._surfaces.moving[window] = around(signs != 0, self._parameters.beside_cells) > 0
+
+    def _significant(self, cells: SeriesCells, errors: DateErrors) -> Tuple[Trends, ChangeDates, IntArray]:
+        """Trends, dates of change, and the signs of what is significant by one of them, and coherent."""
+        spread = errors.of_cells(cells)
+        found = trends(self._years, cells.heights, spread, self._parameters)
+        dates = change_dates(cells.heights, spread, self._parameters)
+        return found, dates, coherent_signs(np.where(found.signs != 0, found.signs, dates.sign))
+
     def _offset_warnings(self, errors: DateErrors) -> List[str]:
         plan, texts = self._parameters, []
         for date, offset, usual in zip(self._series, errors.offset_m, errors.usual_m):
@@ -214,10 +234,8 @@ class _Work:
 
     def _block(self, errors: DateErrors, own: Window, wide: Window) -> _Block:
         cells, (rows, columns) = self._surfaces.read(wide), own.inside(wide)
-        spread = errors.of_cells(cells)
-        found = trends(self._years, cells.heights, spread, self._parameters)
-        dates = change_dates(cells.heights, spread, self._parameters)
-        signs = coherent_signs(np.where(found.signs != 0, found.signs, dates.sign))[rows, columns]
+        found, dates, signs = self._significant(cells, errors)
+        signs = signs[rows, columns]
         changed = [np.where(signs != 0, values[rows, columns], 0) for values in (dates.first, dates.last)]
         bands = [values[rows, columns] for values in (found.slope, found.error, found.count, found.low, found.high)]
         plain = errors.of_cells(cells, offsets=False)[:, rows, columns]
@@ -265,14 +283,11 @@ class _Work:
         first = -own.row % self._step, -own.col % self._step
         row, col = -(-own.row // self._step), -(-own.col // self._step)
         few = (slice(None), slice(first[0], None, self._step), slice(first[1], None, self._step))
-        standard = _standardised(block.heights[few], block.errors[few], self._stable(own)[few[1:]], errors.offset_m)
+        stable = (self._surfaces.stable(own) & (block.signs == 0))[few[1:]]
+        standard = _standardised(block.heights[few], block.errors[few], stable, errors.offset_m)
         self._thinned[:, row : row + standard.shape[1], col : col + standard.shape[2]] = standard
         dates = [_sampled(np.where(each > 0, each, np.nan), self._thumbnails.factor) for each in block.changed]
         self._thumbnails.draw(own, heights=_latest(block.heights), trend=slope, first=dates[0], last=dates[1])
-
-    def _stable(self, window: Window) -> Mask:
-        areas = self._surfaces.areas
-        return areas.numbers(window) == 0 if areas is not None else np.ones((window.height, window.width), bool)
 
     # Volumes --------------------------------------------------------------------------------------------------------
 
@@ -325,7 +340,7 @@ class _Work:
                 cells = surfaces.read(window, both)
                 spread = errors.of_cells(cells, both, offsets=False)
                 left = errors.offset_m[list(both)]
-                parts.append(_standardised(cells.heights, spread, self._stable(window), left)[1])
+                parts.append(_standardised(cells.heights, spread, surfaces.stable(window), left)[1])
             alike = correlation_of(parts, self._thinned[date], self._cell_m, self._step, CHANGE.errors)
             values = np.concatenate([part[np.isfinite(part)] for part in parts])
             usual = float(np.hypot(errors.usual_m[0], errors.usual_m[date]))
@@ -334,26 +349,6 @@ class _Work:
             found.append(alike)
             offset_m.append(math.hypot(usual * math.sqrt(share), float(errors.offset_m[date] - errors.offset_m[0])))
         return [found[0], *found], np.array(offset_m)
-
-
-def coherent_signs(signs: IntArray) -> IntArray:
-    """Signs (rows, columns) where enough of the neighbours have the same (the coherence of Wheaton et al. 2010),
-    and those beside them; 0 elsewhere."""
-    plan = CHANGE.detection
-    side = 2 * plan.coherent_radius + 1
-    least, result = math.ceil(plan.coherent_share * side**2), np.zeros_like(signs)
-    for sign in (1, -1):
-        own = signs == sign
-        core = own & (_around(own, plan.coherent_radius) >= least)
-        result[own & (_around(core, plan.coherent_radius) > 0)] = sign
-    return result
-
-
-def _around(cells: Mask, radius: int) -> IntArray:
-    """How many cells are true in the square around each."""
-    side = 2 * radius + 1
-    total = np.pad(cells.astype(np.int64), ((radius + 1, radius), (radius + 1, radius))).cumsum(axis=0).cumsum(axis=1)
-    return np.asarray(total[side:, side:] - total[:-side, side:] - total[side:, :-side] + total[:-side, :-side])
 
 
 def _standardised(heights: FloatImage, errors: FloatImage, stable: Mask, offsets: FloatArray) -> FloatImage:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import List, Optional, Sequence
+from typing import Dict, List, Optional, Sequence
 
 import numpy as np
 
 from ..change.parameters import CHANGE
 from ..change.surfaces import Cells
 from ..change.volumes import Shapes
-from ..contracts.arrays import FloatImage, Window
+from ..contracts.arrays import FloatImage, Mask, Window
 from ..contracts.errors import OverlapError
 from ..evaluation.comparison import gradient, sample_windows
 from ..evaluation.coregistration import Alignment
@@ -23,6 +23,7 @@ from ..geometry.vertical import TAG
 from ..imagery.confidence import confidence_bands
 from ..imagery.heights import to_metres
 from ..imagery.raster import opened
+from .parameters import SERIES
 from .times import DatedDsm
 
 LEAST_DATES = 3
@@ -61,7 +62,9 @@ class Stack:
         self.datum = datasets[chosen].GetMetadataItem(TAG) or ""
         self.alignments = [Alignment("none")] * len(series)
         self.areas: Optional[Shapes] = None
-        """Where the ground is not stable."""
+        """Where the ground is not stable, as the user says."""
+        self.moving: Dict[Window, Mask] = {}
+        """The cells of samples that were seen to change."""
         self._warpers = [HeightWarper(dataset, self.grid) for dataset in datasets]
         self._errors: List[Optional[HeightWarper]] = [None] * len(series)
         self._sources: List[Optional[HeightWarper]] = [None] * len(series)
@@ -116,7 +119,15 @@ class Stack:
 
     def samples(self) -> List[Window]:
         """The grid as one window, or patches that are spread evenly over it where it is large."""
-        return sample_windows(self.grid, self.grid.bounds, EVALUATION.comparison)
+        plan = EVALUATION.comparison
+        most = min(plan.sample_cells, SERIES.stack_values // len(self))
+        return sample_windows(self.grid, self.grid.bounds, replace(plan, sample_cells=most))
+
+    def stable(self, window: Window) -> Mask:
+        """(rows, columns) the cells of a window that are in no area, and were not seen to change."""
+        shape = window.height, window.width
+        known = self.areas.numbers(window) == 0 if self.areas is not None else np.ones(shape, bool)
+        return known & ~self.moving[window] if window in self.moving else known
 
     def pair(self, before: int, after: int) -> PairOfDates:
         return PairOfDates(self, before, after)
@@ -135,9 +146,7 @@ class PairOfDates:
     def read(self, window: Window) -> Cells:
         """A window of the grid, with the steepness of both dates' mean."""
         (before, own), (after, others) = (self._stack.read_date(date, window) for date in self._dates)
-        measured = np.isfinite(before) & np.isfinite(after)
-        if self._stack.areas is not None:
-            measured &= self._stack.areas.numbers(window) == 0
+        measured = np.isfinite(before) & np.isfinite(after) & self._stack.stable(window)
         steep = self._stack.gradient_of((before + after) / 2)
         support = np.ones(before.shape, np.float32)
         return Cells(before, after, np.hypot(own, others), measured, support, steep)

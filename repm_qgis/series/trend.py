@@ -15,6 +15,7 @@ from typing import Iterator, Tuple
 
 import numpy as np
 
+from ..change.parameters import CHANGE
 from ..contracts.arrays import FloatArray, FloatImage, Floats, IntArray, Mask
 from .parameters import SERIES, SeriesParameters
 
@@ -206,3 +207,26 @@ def _levels(dates: int, share: float) -> FloatArray:
     return np.array(
         [normal.inv_cdf(0.5 + 0.5 * share ** (1 / max(count - 1, 1))) for count in range(dates + 1)], np.float32
     )
+
+
+# Coherence ---------------------------------------------------------------------------------------------------------
+
+
+def coherent_signs(signs: IntArray) -> IntArray:
+    """Signs (rows, columns) where enough of the neighbours have the same (the coherence of Wheaton et al. 2010),
+    and those beside them; 0 elsewhere."""
+    plan = CHANGE.detection
+    side = 2 * plan.coherent_radius + 1
+    least, result = math.ceil(plan.coherent_share * side**2), np.zeros_like(signs)
+    for sign in (1, -1):
+        own = signs == sign
+        core = own & (around(own, plan.coherent_radius) >= least)
+        result[own & (around(core, plan.coherent_radius) > 0)] = sign
+    return result
+
+
+def around(cells: Mask, radius: int) -> IntArray:
+    """How many cells are true in the square around each."""
+    side = 2 * radius + 1
+    total = np.pad(cells.astype(np.int64), ((radius + 1, radius), (radius + 1, radius))).cumsum(axis=0).cumsum(axis=1)
+    return np.asarray(total[side:, side:] - total[:-side, side:] - total[side:, :-side] + total[:-side, :-side])
