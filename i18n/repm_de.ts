@@ -1940,6 +1940,54 @@
         <translation>Umrisse der signifikanten Änderungen, mit Fläche, Höhen und Volumen samt Unsicherheit.</translation>
     </message>
     <message>
+        <source>Heights of all dates</source>
+        <translation>Höhen aller Zeitpunkte</translation>
+    </message>
+    <message>
+        <source>A GeoTIFF with the heights of each date in a band of its own, all on the same cells, in metres.</source>
+        <translation>Ein GeoTIFF mit den Höhen jedes Zeitpunkts in einem eigenen Kanal, alle auf denselben Zellen, in Metern.</translation>
+    </message>
+    <message>
+        <source>Trend</source>
+        <translation>Trend</translation>
+    </message>
+    <message>
+        <source>Metres per year: the median trend of each cell, its standard error and its 95 % interval.</source>
+        <translation>Meter pro Jahr: der Median-Trend jeder Zelle, sein Standardfehler und sein 95-%-Intervall.</translation>
+    </message>
+    <message>
+        <source>Dates of change</source>
+        <translation>Zeitpunkte der Änderung</translation>
+    </message>
+    <message>
+        <source>For each cell the number of the date at which a change is seen first, and of the one at which it had ended.</source>
+        <translation>Für jede Zelle die Nummer des Zeitpunkts, an dem eine Änderung zuerst zu sehen ist, und die des Zeitpunkts, an dem sie beendet war.</translation>
+    </message>
+    <message>
+        <source>Volumes over time</source>
+        <translation>Volumen im Lauf der Zeit</translation>
+    </message>
+    <message>
+        <source>The areas, with their volume at each date since the first, and its uncertainty.</source>
+        <translation>Die Flächen, mit ihrem Volumen zu jedem Zeitpunkt seit dem ersten und dessen Unsicherheit.</translation>
+    </message>
+    <message>
+        <source>Layers of the dates</source>
+        <translation>Layer der Zeitpunkte</translation>
+    </message>
+    <message>
+        <source>A folder with a map layer for each date, which QGIS's temporal controller shows one after the other.</source>
+        <translation>Ein Ordner mit einem Kartenlayer je Zeitpunkt, die die Zeitsteuerung von QGIS nacheinander zeigt.</translation>
+    </message>
+    <message>
+        <source>Table of the volumes</source>
+        <translation>Tabelle der Volumen</translation>
+    </message>
+    <message>
+        <source>The volume of each area at each date as CSV, for spreadsheets.</source>
+        <translation>Das Volumen jeder Fläche zu jedem Zeitpunkt als CSV, für Tabellenprogramme.</translation>
+    </message>
+    <message>
         <source>A folder for the images, the true surface (a DSM) and the ground control points.</source>
         <translation>Ein Ordner für die Bilder, die wahre Oberfläche (ein DOM) und die Passpunkte.</translation>
     </message>
@@ -1990,6 +2038,10 @@
     <message>
         <source>Report of the change</source>
         <translation>Bericht über die Änderung</translation>
+    </message>
+    <message>
+        <source>Report of the series</source>
+        <translation>Bericht über die Zeitreihe</translation>
     </message>
     <message>
         <source>Report of the control points</source>
@@ -2302,6 +2354,93 @@
     <message>
         <source>Sample images</source>
         <translation>Beispielbilder</translation>
+    </message>
+</context>
+<context>
+    <name>Series</name>
+    <message>
+        <source>Follow a surface over many dates</source>
+        <translation>Oberfläche über viele Zeitpunkte verfolgen</translation>
+    </message>
+    <message>
+        <source>Trends with their errors, dates of change and volumes over time, from three DSMs or more.</source>
+        <translation>Trends mit ihren Fehlern, Zeitpunkte der Änderung und Volumen im Lauf der Zeit, aus drei oder mehr DOM.</translation>
+    </message>
+    <message>
+        <source>DSMs of all dates</source>
+        <translation>DOM aller Zeitpunkte</translation>
+    </message>
+    <message>
+        <source>Three or more rasters of heights in metres, in any order and any CRS, with heights of one datum. Register them before, or set the alignment.</source>
+        <translation>Drei oder mehr Raster mit Höhen in Metern, in beliebiger Reihenfolge und beliebigem KBS, mit einem Höhenbezug. Vorher registrieren, oder die Ausrichtung setzen.</translation>
+    </message>
+    <message>
+        <source>Dates of the DSMs</source>
+        <translation>Zeitpunkte der DOM</translation>
+    </message>
+    <message>
+        <source>One for each DSM, in the order of the DSMs, with commas between: 2022-05-01, 2023-04-17, ... Empty: the files say it, as DSMs of this plugin and STAC items beside them do.</source>
+        <translation>Einer je DOM, in der Reihenfolge der DOM, durch Kommas getrennt: 2022-05-01, 2023-04-17, ... Leer: die Dateien geben sie an, wie es DOM dieses Plugins und STAC-Items daneben tun.</translation>
+    </message>
+    <message>
+        <source>Areas whose volumes are wanted</source>
+        <translation>Flächen, deren Volumen gesucht sind</translation>
+    </message>
+    <message>
+        <source>Polygons such as glaciers or quarries, named by their field 'name'; the ground outside of them is taken as stable. Empty: what changed significantly is outlined.</source>
+        <translation>Polygone wie Gletscher oder Steinbrüche, benannt durch ihr Feld „name“; der Boden außerhalb gilt als stabil. Leer: Was sich signifikant geändert hat, wird umrissen.</translation>
+    </message>
+    <message>
+        <source>Alignment on stable ground</source>
+        <translation>Ausrichtung auf stabilem Boden</translation>
+    </message>
+    <message>
+        <source>none: offsets of the dates are reported and counted as errors; vertical: each DSM is moved up or down until it agrees with the first where nothing changed; 3d: in all three axes.</source>
+        <translation>none: Versätze der Zeitpunkte werden gemeldet und als Fehler gezählt; vertical: jedes DOM wird nach oben oder unten verschoben, bis es mit dem ersten übereinstimmt, wo sich nichts geändert hat; 3d: in allen drei Achsen.</translation>
+    </message>
+    <message>
+        <source>Smallest area (m²)</source>
+        <translation>Kleinste Fläche (m²)</translation>
+    </message>
+    <message>
+        <source>Smaller areas of change are not outlined; areas that you give have any size.</source>
+        <translation>Kleinere Änderungen werden nicht umrissen; angegebene Flächen dürfen beliebig klein sein.</translation>
+    </message>
+    <message>
+        <source>Confidence rasters</source>
+        <translation>Konfidenzraster</translation>
+    </message>
+    <message>
+        <source>One raster for each DSM, in the order of the DSMs: this plugin's confidence raster, or one band with the expected error in metres. Heights that were filled in do not count then, and each height has its own error. Empty: one error for each date, found where nothing changed.</source>
+        <translation>Ein Raster je DOM, in der Reihenfolge der DOM: das Konfidenzraster dieses Plugins, oder ein Kanal mit dem erwarteten Fehler in Metern. Dann zählen gefüllte Höhen nicht, und jede Höhe hat ihren eigenen Fehler. Leer: ein Fehler je Zeitpunkt, bestimmt, wo sich nichts geändert hat.</translation>
+    </message>
+    <message>
+        <source>Layers of the dates</source>
+        <translation>Layer der Zeitpunkte</translation>
+    </message>
+    <message>
+        <source>Number of dates</source>
+        <translation>Zahl der Zeitpunkte</translation>
+    </message>
+    <message>
+        <source>Ground that rises significantly (m²)</source>
+        <translation>Boden, der signifikant steigt (m²)</translation>
+    </message>
+    <message>
+        <source>Ground that falls significantly (m²)</source>
+        <translation>Boden, der signifikant sinkt (m²)</translation>
+    </message>
+    <message>
+        <source>Volume of the first area at the last date (m³)</source>
+        <translation>Volumen der ersten Fläche am letzten Zeitpunkt (m³)</translation>
+    </message>
+    <message>
+        <source>Its standard deviation (m³)</source>
+        <translation>Dessen Standardabweichung (m³)</translation>
+    </message>
+    <message>
+        <source>Heights</source>
+        <translation>Höhen</translation>
     </message>
 </context>
 <context>

@@ -62,11 +62,10 @@ def _followed(options: SeriesOptions, progress: Progress) -> Dict[str, Any]:
 
 
 def _log(found: FoundSeries, progress: Progress) -> None:
-    for date, offset, error, moved in zip(found.series, found.offsets, found.errors.usual_m, found.alignments):
-        did = "" if moved.method == "none" else ", which was removed"
+    for date, offset, error in zip(found.series, found.offsets, found.errors.usual_m):
         progress.info(
             f"{date.label}: heights are uncertain by {error:.2f} m on level ground, and lie {offset:+.3f} m from those "
-            f"of the first date where nothing changed{did}."
+            f"of the first date where nothing changed."
         )
     progress.info(
         f"The surface rises significantly on {found.rising:.0f} m2 and falls on {found.falling:.0f} m2; dates of "

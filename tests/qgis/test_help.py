@@ -19,7 +19,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 NAMES = sorted(path.stem for path in (ROOT / "docs" / "algorithms").glob("*.md"))
 IN_ORDER = "environment sampledata inspect epmfit errormap refine exportcameras reconstruct exportrpc".split()
 IN_ORDER += ["register", "dsmfuse", "pipeline", "comparedsm", "checkgcps", "mosaic", "viewer", "dtm"]
-IN_ORDER += ["editdsm", "change"]
+IN_ORDER += ["editdsm", "change", "series"]
 
 
 def help_page(name):
