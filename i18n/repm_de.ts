@@ -2383,8 +2383,8 @@
         <translation>Einer je DOM, in der Reihenfolge der DOM, durch Kommas getrennt: 2022-05-01, 2023-04-17, ... Leer: die Dateien geben sie an, wie es DOM dieses Plugins und STAC-Items daneben tun.</translation>
     </message>
     <message>
-        <source>Areas whose volumes are wanted</source>
-        <translation>Flächen, deren Volumen gesucht sind</translation>
+        <source>Areas whose volumes are followed</source>
+        <translation>Flächen, deren Volumen verfolgt werden</translation>
     </message>
     <message>
         <source>Polygons such as glaciers or quarries, named by their field 'name'; the ground outside of them is taken as stable. Empty: what changed significantly is outlined.</source>

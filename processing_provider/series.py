@@ -52,7 +52,7 @@ class Series(RepmAlgorithm):
                 ),
             ),
             parameters.helped(
-                QgsProcessingParameterString("DATES", self.tr("Dates of the DSMs"), "", optional=True),
+                QgsProcessingParameterString("DATES", self.tr("Dates of the DSMs"), optional=True),
                 self.tr(
                     "One for each DSM, in the order of the DSMs, with commas between: 2022-05-01, 2023-04-17, ... "
                     "Empty: the files say it, as DSMs of this plugin and STAC items beside them do."
@@ -61,7 +61,7 @@ class Series(RepmAlgorithm):
             parameters.helped(
                 parameters.Points(
                     "AREAS",
-                    self.tr("Areas whose volumes are wanted"),
+                    self.tr("Areas whose volumes are followed"),
                     [QgsProcessing.SourceType.TypeVectorPolygon],
                     optional=True,
                 ),

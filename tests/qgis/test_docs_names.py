@@ -67,6 +67,7 @@ CITED = {
     "Refined Equivalent Pinhole Model for Large-scale 3D Reconstruction from Spaceborne CCD Imagery",
     "Accounting for uncertainty in DEMs from repeat topographic surveys",
     "Estimation of erosion and deposition volumes",
+    "Estimates of the regression coefficient based on Kendall's tau",
     "Uncertainty analysis of digital elevation models by spatial inference from stable terrain",
     "Co-registration and bias corrections of satellite elevation data sets",
     "Object modeling by registration of multiple range images",
