@@ -22,8 +22,8 @@ _BEFORE_STEP = 0.5  # of the dates
 @dataclass(frozen=True)
 class Case:
     """A dome whose top rises by ``rate`` m a year, and a pit that is dug halfway; ``sigma`` are the errors of the dates
-    in m, over and over; ``wrong`` is the number of a date that lies 5 m too high in the half that has most of the dome, -1 for none;
-    ``holes`` the share of cells that each date lacks."""
+    in m, over and over; ``wrong`` is the number of a date that lies 5 m too high in the half with most of the
+    dome, -1 for none; ``holes`` the share of cells that each date lacks."""
 
     name: str
     dates: int

@@ -40,8 +40,8 @@ def read_time(text: str) -> Optional[datetime]:
 def dated(dsms: Sequence[str], confidences: Sequence[str], dates: Sequence[str]) -> List[DatedDsm]:
     """The DSMs in the order of their times: those that are given, else the files' own.
 
-    Raises OptionError where a DSM has no time, where two have the same, and for text that is none; ImageError for a
-    file that cannot be read.
+    Raises OptionError where a DSM has no time, where two have the same, and for a text that is no time; ImageError for
+    a file that cannot be read.
     """
     found = []
     for index, path in enumerate(dsms):
@@ -49,7 +49,7 @@ def dated(dsms: Sequence[str], confidences: Sequence[str], dates: Sequence[str])
         if taken is None and dates:
             raise OptionError("DATES", dates[index], "must be a day such as 2024-05-01, or a time in ISO 8601")
         if taken is None:
-            reason = "says nothing of its time, neither in its metadata nor in a STAC item beside it: give all DATES"
+            reason = "has no time, neither in its metadata nor in a STAC item beside it: give all DATES"
             raise OptionError("DSMS", path, reason)
         found.append(DatedDsm(path, confidences[index] if confidences else "", taken))
     found.sort(key=lambda each: each.taken)

@@ -20,7 +20,7 @@ def test_dialogs_offer_what_is_known_and_hide_what_does_not_matter(desktop_start
     fitted = run_stage("epmfit", {"images": sample["images"], "workspace": str(tmp_path / "work")}, Silent())
     names = sorted({name for preset in PRESETS.values() for name in preset})
     plan = {"presets": [*PRESETS, "none"], "names": [name.upper() for name in names]}
-    plan["dialogs"] = ["pipeline", "mosaic", "reconstruct", "dsmfuse", "epmfit", "register", "change", "comparedsm", "series"]
+    plan["dialogs"] = ["pipeline", "mosaic", "reconstruct", "dsmfuse", "epmfit", "register", "change", "comparedsm"]
     missing = [str(tmp_path / name) for name in ("a.rpb", "b.xml")]
     plan["lists"] = {"RPCS": missing, "SCENES": [fitted["scene"]], "FIXED": [fitted["scene"], sample["truth"]]}
     settings = f"[repm]\nfirst_steps_shown=true\nlast_scenes={fitted['scene']}\n"
@@ -56,7 +56,7 @@ def test_dialogs_offer_what_is_known_and_hide_what_does_not_matter(desktop_start
 
 def test_german_dialogs_fit_too(desktop_start, tmp_path):
     """Labels are longer: at QGIS's own size every "..." button is in sight, with the advanced part open."""
-    names = ["pipeline", "mosaic", "reconstruct", "dsmfuse", "epmfit", "register", "change", "comparedsm", "dtm", "series"]
+    names = ["pipeline", "mosaic", "reconstruct", "dsmfuse", "epmfit", "register", "change", "comparedsm", "dtm"]
     found = desktop_start("drive_narrow.py", {"dialogs": names}, seconds=60, locale="de")
     assert all(max(widths) == 0 for widths in found["narrow"].values()), found["narrow"]
     assert found["words"]["fast"] == "Schnell (fast)" and found["values"] == ["fast", "default", "best"]

@@ -345,7 +345,7 @@ def test_what_cannot_be_followed_is_refused_in_a_sentence(dates, tmp_path, told)
     for dsms, options, kind, words in (
         (two, {}, OptionError, "must name 3 to 250 DSMs"),
         ([*two, two[0]], {}, OptionError, "is named twice"),
-        ([*two, silent], {}, OptionError, "says nothing of its time"),
+        ([*two, silent], {}, OptionError, "has no time, neither"),
         (dates[:3], {"dates": DAYS[:2]}, OptionError, "one for each of DSMS"),
         (dates[:3], {"dates": ("2020-01-01", "2020-13-01", "2021-01-01")}, OptionError, "must be a day such as"),
         (dates[:3], {"dates": ("2020-01-01", "2020-01-01", "2021-01-01")}, OptionError, "has the time of"),
