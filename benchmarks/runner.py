@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import subprocess
 import sys
 import threading
@@ -14,12 +13,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, TypeVar
 
+from repm_qgis.runtime.parallel import cores
 from repm_qgis.runtime.progress import Progress, Silent
 from repm_qgis.stages import run_stage
 from repm_qgis.stages.parameters import ENGINE, EngineParameters
 
 ROOT = Path(__file__).resolve().parents[1]
-CORES = len(os.sched_getaffinity(0))
+CORES = cores()
 Item = TypeVar("Item")
 _settings = {"quick": False}
 
@@ -102,6 +102,8 @@ def alone(function: Callable[..., Any], *arguments: Any) -> Alone:
 
 def answer(module: str, function: str, arguments: str) -> None:
     """The other side of ``alone``. The process ends here: what is cleaned up after it is not measured."""
+    import resource  # which Windows lacks, where tests import other parts of this module
+
     result = getattr(import_module(module), function)(*json.loads(arguments))
     used = resource.getrusage(resource.RUSAGE_SELF)
     # The peak of getrusage would begin with the memory of the process that started this one.

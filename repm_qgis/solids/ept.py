@@ -15,9 +15,10 @@ Entwine Point Tile specification 1.0.0, entwine.io.
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Dict, Iterable, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Dict, Generator, Iterable, Iterator, List, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
@@ -231,7 +232,8 @@ class _Tree:
             node = large.pop()
             path = self._path("part", node)
             del self._parts[node]
-            new = self._divide(_read_chunks(path, self._kind, self._p.chunk), node[0] + 1)
+            with closing(_read_chunks(path, self._kind, self._p.chunk)) as chunks:  # Windows removes no open file
+                new = self._divide(chunks, node[0] + 1)
             path.unlink()
             large += [child for child in new if self._parts[child] > batch and child[0] < limit]
 
@@ -369,7 +371,7 @@ def _append(path: Path, points: Points) -> None:
         stream.write(points.tobytes())
 
 
-def _read_chunks(path: Path, kind: "np.dtype[Any]", count: int) -> Iterator[Points]:
+def _read_chunks(path: Path, kind: "np.dtype[Any]", count: int) -> Generator[Points, None, None]:
     with open(path, "rb") as stream:
         while len(points := np.fromfile(stream, kind, count)):
             yield points
