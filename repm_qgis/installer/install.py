@@ -9,7 +9,7 @@ import subprocess  # nosec B404 # see its uses
 import time
 from contextlib import suppress
 from datetime import datetime
-from typing import Callable, List, Optional, Sequence, TextIO
+from typing import Callable, List, Sequence, TextIO, Tuple
 
 from ..contracts.errors import MissingPackageError, OptionError, WorkspaceError
 from ..contracts.paths import real_path
@@ -134,7 +134,7 @@ def _make(plan: Plan, python: Interpreter, progress: Progress, log: Callable[[st
         )
         _link_proj(folder, python)
         progress.step(0.92, "checking that the packages can be imported")
-        verify(own, folder, plan.all)
+        verify(own, folder, plan.all, progress=progress)
         environments.remove([os.path.join(folder, "tmp")])
         progress.check_cancelled()
         seconds, size = time.monotonic() - began, environments.disk_bytes(folder)
@@ -217,29 +217,45 @@ if os.path.realpath(numpy.__file__).startswith(own):
 """
 
 
-def verify(program: str, folder: str, requirements: Sequence[str]) -> None:
-    """Import every package of the engine that is installed or QGIS's; raises MissingPackageError with what fails."""
+def verify(program: str, folder: str, requirements: Sequence[str], *, progress: Progress) -> None:
+    """Import every package of the engine that is installed or QGIS's.
+
+    Raises MissingPackageError with what fails, and Cancelled: the first import of so many libraries takes long where a
+    virus scanner reads them.
+    """
     wanted = {name_of(line) for line in requirements}
     modules: List[str] = [
         each.module for each in PACKAGES if not each.download_mb or name_of(each.distribution) in wanted
     ]
-    done: Optional["subprocess.CompletedProcess[bytes]"] = None
     try:
-        done = subprocess.run(  # nosec B603 # no shell, and an argument list of our own
+        with subprocess.Popen(  # nosec B603 # no shell, and an argument list of our own
             [program, "-c", _VERIFY, folder, *modules],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             cwd=folder,
             env={**variables(program), "PYTHONNOUSERSITE": "1"},
-            check=False,
-        )
+        ) as process:
+            try:
+                printed, complained = _until_its_end(process, progress)
+            finally:
+                process.kill()
     except OSError as error:
         raise MissingPackageError(f"'{program}' cannot be started ({error}): install again.") from error
-    if done.returncode:
-        name = "".join(done.stdout.decode("utf-8", "replace").splitlines()[-1:])
-        said = "".join(done.stderr.decode("utf-8", "replace").strip().splitlines()[-1:])[:300]
+    if process.returncode:
+        name = "".join(printed.decode("utf-8", "replace").splitlines()[-1:])
+        said = "".join(complained.decode("utf-8", "replace").strip().splitlines()[-1:])[:300]
         raise MissingPackageError(
-            f"The package '{name or 'numpy'}' was installed, but cannot be used ({said or done.returncode}): "
+            f"The package '{name or 'numpy'}' was installed, but cannot be used ({said or process.returncode}): "
             "send us the log."
         )
+
+
+def _until_its_end(process: "subprocess.Popen[bytes]", progress: Progress) -> Tuple[bytes, bytes]:
+    """What a process writes to its two outputs until it ends."""
+    while True:
+        progress.check_cancelled()
+        try:
+            return process.communicate(timeout=pip.POLL_S)
+        except subprocess.TimeoutExpired:
+            continue

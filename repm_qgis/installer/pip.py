@@ -17,7 +17,7 @@ from ..runtime.progress import Progress
 from ..runtime.workspace import size_of
 from .interpreter import variables
 
-_POLL_S = 0.3
+POLL_S = 0.3
 _LOOK_S = 1.0
 _OLDEST = (20, 3)  # the first with the resolver that keeps constraints
 # Settings that would install elsewhere or in another way; the user's index, certificate and cache stay.
@@ -161,9 +161,9 @@ def _followed(
     while True:
         progress.check_cancelled()
         try:
-            line = lines.get(timeout=_POLL_S)
+            line = lines.get(timeout=POLL_S)
         except queue.Empty:
-            quiet += _POLL_S
+            quiet += POLL_S
             if quiet >= _LOOK_S and expected_bytes:
                 quiet = 0.0
                 progress.step(min(0.99, (size_of(folder) - began) / expected_bytes), doing)

@@ -272,6 +272,17 @@ def test_a_cancel_leaves_nothing_and_is_quick(index, home, folder, words):
     assert left(home) == []
 
 
+def test_a_cancel_does_not_wait_for_slow_imports(index, home, folder, tmp_path):
+    """A virus scanner reads each library at its first import, say."""
+    for name, (module, version) in WHEELS.items():
+        wheel(tmp_path, name, module, version, "import time\ntime.sleep(60)\n")
+    progress = CancelAt("checking")
+    with pytest.raises(Cancelled):
+        install(PYTHON, folder, progress, wheels=str(tmp_path))
+    assert progress.seen and time.monotonic() - progress.when < 2
+    assert left(home) == []
+
+
 def started(folder, *arguments):
     return subprocess.Popen(
         [PYTHON, "-m", "repm_qgis.installer", "--folder", str(folder), *arguments],

@@ -6,6 +6,7 @@ import numpy as np
 import pyproj
 import pytest
 from osgeo import ogr, osr
+from pyproj.transformer import TransformerGroup
 
 from repm_qgis.contracts.errors import InputTableError, OptionError
 from repm_qgis.geometry.frames import EnuFrame
@@ -183,8 +184,10 @@ def test_without_views_only_places_are_read(table):
 @pytest.mark.parametrize("name", ("EGM96", "egm96", "EPSG:5773", "EGM96 height", "EPSG:4326+5773"))
 def test_heights_above_the_geoid_become_ellipsoidal_as_pyproj_has_it(table, name):
     path = table("A,1.44,43.6,100,,,,check", "B,144.97,-37.81,20,,,,check")
-    gcps = read_gcps(path, None, name)
     shift = pyproj.Transformer.from_crs("EPSG:4326+5773", "EPSG:4979", always_xy=True)
+    if not TransformerGroup("EPSG:4326+5773", "EPSG:4979", allow_ballpark=False).transformers:
+        pytest.skip("PROJ's EGM96 grid is not installed")
+    gcps = read_gcps(path, None, name)
     for gcp, (lon, lat, height) in zip(gcps, ((1.44, 43.6, 100.0), (144.97, -37.81, 20.0))):
         assert gcp.height == pytest.approx(shift.transform(lon, lat, height)[2], abs=1e-6)
         assert (gcp.lon, gcp.lat) == (lon, lat)
