@@ -17,6 +17,7 @@ from __future__ import annotations
 import json
 from contextlib import closing
 from dataclasses import dataclass, field
+from datetime import date
 from pathlib import Path
 from typing import Any, Dict, Generator, Iterable, Iterator, List, Optional, Sequence, Tuple
 
@@ -43,6 +44,8 @@ _SPAN_BITS = 7  # 128 voxels a side of a node
 _CODE_BITS = 21  # a side, of a Morton code of 63 bits: 14 levels of nodes
 _RECORD = np.dtype([("xyz", "<i4", 3), ("intensity", "<u2")])
 _COLOURED = np.dtype([*_RECORD.descr, ("colour", "<u2", 3)])
+_ANY_DAY = date(1970, 1, 1)
+"""The day in each node's header: the same cloud gives the same bytes tomorrow, and laspy writes today for none."""
 _ENTRIES = ("ept.json", "ept.qml", "ept-data", "ept-hierarchy")
 _DIMENSIONS = ("X", "Y", "Z", "Intensity", "Red", "Green", "Blue")
 
@@ -382,7 +385,7 @@ def _write_node(path: str, points: Points, cube: _Cube) -> None:
     laspy = required_laspy("EPT")
     header = laspy.LasHeader(point_format=3, version="1.2")
     header.scales, header.offsets = np.full(3, cube.scale), cube.offset
-    header.creation_date = None  # the same cloud gives the same bytes tomorrow
+    header.creation_date = _ANY_DAY
     records = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
     for axis, name in enumerate("XYZ"):
         records[name] = points["xyz"][:, axis]
