@@ -401,9 +401,10 @@ def test_pixel_coordinates_without_a_crs_are_no_map(tmp_path, write_image):
 
 def test_folders_and_files_that_cannot_be_read_have_nothing(tmp_path, monkeypatch):
     (tmp_path / "A.XML").write_text("x")
+    both = ["A.XML"] if (tmp_path / "a.xml").exists() else ["A.XML", "a.xml"]  # on Windows and macOS they are one file
     (tmp_path / "a.xml").write_text("x")
     (tmp_path / "folder.xml").mkdir()
-    assert files_in_folder(tmp_path / "a.tif") == {"a.xml": ["A.XML", "a.xml"]}
+    assert files_in_folder(tmp_path / "a.tif") == {"a.xml": both}
     assert files_in_folder(tmp_path / "nowhere" / "a.tif") == {}
     assert not readers._is_image(str(tmp_path / "a.xml"))
 
