@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 TESTS ?= tests
 
-.PHONY: help setup demo test bench bench-faults fuzz mutation identity lint lint-viewer scan site package models i18n pictures clean
+.PHONY: help setup demo test test-quick test-slow bench bench-faults fuzz mutation identity lint lint-viewer scan site package models i18n pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z0-9%-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -18,6 +18,12 @@ demo: setup ## simulated tri-stereo images to a DSM, its accuracy against the kn
 SHARED := --numprocesses logical --maxprocesses 2 --dist loadfile --no-loadscope-reorder
 test: setup ## the whole test suite, shared by two processes where there are two cores (TESTS=tests/engine for a part)
 	@QT_QPA_PLATFORM=offscreen $(PYTHON) -m pytest -p no:pytest_qgis $(SHARED) $(TESTS)
+
+test-quick: setup ## the suite without its slow tests, which are more than half of its time
+	@$(MAKE) --no-print-directory test TESTS="-m 'not slow' tests"
+
+test-slow: setup ## the slow tests alone
+	@$(MAKE) --no-print-directory test TESTS="-m slow tests"
 
 bench: setup ## DSMs of truth scenes and real images, beside S2P's and CARS's where these are on PATH (writes docs/benchmarks.md)
 	@$(PYTHON) benchmarks dsm --write

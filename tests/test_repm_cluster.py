@@ -50,6 +50,7 @@ def greeting(address, key):
 @needs_dask
 @posix
 @pytest.mark.parametrize("how", ["Ctrl-C", "TERM", "KILL"])
+@pytest.mark.slow
 def test_a_local_cluster_works_and_ends_with_all_that_it_started(tmp_path, how):
     from distributed import Client
 

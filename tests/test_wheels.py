@@ -14,6 +14,7 @@ PLATFORMS = ("macosx_14_0_arm64", "macosx_14_0_x86_64", "win_amd64")
 
 @pytest.mark.parametrize("python", ("3.9", "3.12"))
 @pytest.mark.parametrize("platform", PLATFORMS)
+@pytest.mark.slow
 def test_the_index_has_wheels_of_all_packages(platform, python, tmp_path):
     """For the Pythons of QGIS 3.22 and 3.40 on Windows; nothing is downloaded but what describes the packages."""
     options = "--dry-run --no-deps --ignore-installed --only-binary=:all: --retries 1 --timeout 5 --python-version"

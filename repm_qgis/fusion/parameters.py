@@ -54,10 +54,8 @@ class NeedleParameters(Parameters):
 
     speckle_px: int = MATCHING.sgm.speckle_px  # pixels of the largest; matching removes smaller ones by this limit, too
     step_m: float = 3.0  # of height between two surfaces, as in the choice
-    slender: float = (
-        5.0  # times as high, above or below all around it, as it is wide (root of its area): 3 takes 29 right cells
-    )
-    # of a simulated town instead of one, and 8 leaves a quarter of the wrong ones of a real town
+    slender: float = 5.0  # times as high, above or below all around it, as it is wide (root of its area): 3 takes 29
+    # right cells of a simulated town instead of one, and 8 leaves a quarter of the wrong ones of a real town
     around_cells: int = 2  # to each side, of what is around it; chosen: across a hole of one cell
     most_cells: int = 200  # of the largest, where cells are much finer than pixels: bounds what a block depends on
 

@@ -98,6 +98,7 @@ def test_its_report_and_legends_are_german(german):
     assert any("<!-- language: de -->" in style.read_text() for style in styles)
 
 
+@pytest.mark.slow
 def test_the_language_changes_no_byte_of_the_results(german, sample, tmp_path):
     lines, made, _ = german
     others, paths = run(sample, tmp_path)
@@ -110,6 +111,7 @@ def test_the_language_changes_no_byte_of_the_results(german, sample, tmp_path):
     assert len(same) > 3 and [results[0][key] for key in same] == [results[1][key] for key in same]
 
 
+@pytest.mark.slow
 def test_a_run_that_reuses_all_writes_pages_and_legends_in_the_language_that_is_asked_for(german, sample):
     _, _, folder = german
     legends = [folder / "work" / name for name in ("tiles.qml", "reconstructed_tie_points.qml")]
@@ -161,6 +163,7 @@ def moved_truth(sample, path, metres, stated=True):
     return str(path)
 
 
+@pytest.mark.slow
 def test_a_registration_and_what_follows_it_are_german(german, sample, tmp_path):
     """With references that contradict each other and a shift beyond all promises: as much is said as can be."""
     matched = str(german[2] / "work" / "reconstructed.json")
@@ -221,6 +224,7 @@ def test_a_registration_and_what_follows_it_are_german(german, sample, tmp_path)
         ("nothing", {}),
     ],
 )
+@pytest.mark.slow
 def test_errors_are_german_and_keep_their_kind(stage, job, tmp_path):
     (german,), (english,) = engine(stage, tmp_path, **job, language="de"), engine(stage, tmp_path, **job)
     assert german["kind"] == english["kind"] and english_in([english["text"]])

@@ -170,6 +170,7 @@ def test_a_signal_before_the_stage_is_a_cancel():
     assert done.returncode == 1 and json.loads(done.stdout)["kind"] == "Cancelled" and done.stderr == ""
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_threads_of_linear_algebra(urban, tmp_path):
     """Sums in another order differ in their last bits, and rounding makes pixels of them."""
     found = []

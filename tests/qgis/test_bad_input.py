@@ -164,6 +164,7 @@ def test_an_absurd_request_is_refused_in_the_dialog(plugin, context, sample, tmp
         ({"OUTPUT": "/proc/none/dsm.tif"}, ("folder '/proc/none'", "choose another one")),  # before the matching
     ],
 )
+@pytest.mark.slow
 def test_a_wrong_value_is_one_sentence(plugin, feedback, sample, tmp_path, values, words):
     given = {
         "IMAGES": sample["images"][:2],
@@ -188,6 +189,7 @@ def scene(plugin, ears, sample, tmp_path_factory):
     return results["SCENE"]
 
 
+@pytest.mark.slow
 def test_a_scene_that_will_not_do_is_one_sentence(plugin, feedback, scene, sample, tmp_path):
     out = str(tmp_path / "o.tif")
     one_sentence(

@@ -64,6 +64,7 @@ def whole(run, town, tmp_path_factory):
     return given, *run("pipeline", **given)
 
 
+@pytest.mark.slow
 def test_a_workspace_keeps_what_has_no_name_and_makes_nothing_twice(plugin, ears, sample, tmp_path):
     """As in the dialog: a workspace is named, all else is temporary, and each run has temporary files of its own."""
     project, runs = QgsProject(), []
@@ -128,6 +129,7 @@ def test_the_pipeline_makes_all_that_it_names(whole):
     assert page.count("<td>order</td>") == 1  # one table of options for all stages
 
 
+@pytest.mark.slow
 def test_a_second_run_says_what_it_reused(whole, run):
     given, results, _ = whole
     before = heights(results["OUTPUT"])[0]
@@ -142,6 +144,7 @@ def test_the_dsm_is_near_the_truth(whole, run, town):
     assert results["COMPLETENESS"] > 60
 
 
+@pytest.mark.slow
 def test_single_stages_give_the_pipelines_dsm(whole, run, town, tmp_path):
     fitted, _ = run("epmfit", IMAGES=town["images"], WORKSPACE=str(tmp_path / "w"))
     refined, _ = run("refine", SCENE=fitted["SCENE"], OUTPUT_SCENE=str(tmp_path / "refined" / "scene.json"))
@@ -155,6 +158,7 @@ def test_single_stages_give_the_pipelines_dsm(whole, run, town, tmp_path):
     np.testing.assert_array_equal(got[0], want[0])
 
 
+@pytest.mark.slow
 def test_the_shipped_model_gives_the_pipelines_dsm_and_layers(whole, ears, town, tmp_path):
     from processing.gui.Postprocessing import handleAlgorithmResults
 
@@ -192,6 +196,7 @@ def test_the_shipped_model_gives_the_pipelines_dsm_and_layers(whole, ears, town,
     project.clear()
 
 
+@pytest.mark.slow
 def test_cancel_in_the_middle_leaves_a_workspace_that_goes_on(plugin, ears, run, whole, town, tmp_path):
     given = {
         "IMAGES": town["images"],

@@ -89,6 +89,7 @@ def test_user_errors_are_one_sentence(headless, sample, tmp_path, words, sentenc
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_pipeline_with_control_points_is_where_the_truth_is(headless, town, tmp_path):
     done = headless(
         "--json",

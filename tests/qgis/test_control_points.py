@@ -20,6 +20,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
+@pytest.mark.slow
 def test_points_are_measured_by_mouse_and_keys_and_taken_by_gcps(desktop_start, town, tmp_path):
     views = load_views(town["images"])
     known = [gcp for gcp in read_gcps(town["gcps"], views) if len(gcp.pixels) == 3]

@@ -118,6 +118,7 @@ def test_4_heights_above_a_geoid(cook):
     assert crs.IsCompound() and "EGM96" in crs.GetName()
 
 
+@pytest.mark.slow
 def test_5_masks(cook):
     cook(1)
     folder, _ = cook(5)
@@ -127,6 +128,7 @@ def test_5_masks(cook):
     assert np.isnan(heights(folder / "masked.tif")).mean() > np.isnan(heights(folder / "dsm.tif")).mean() + share / 2
 
 
+@pytest.mark.slow
 def test_6_many_at_once(cook):
     folder, _ = cook(6)
     for pair in ("01_02", "02_03"):
@@ -135,6 +137,7 @@ def test_6_many_at_once(cook):
         assert (folder / "batch" / pair / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_7_a_model(cook):
     folder, _ = cook(7)
     assert np.isfinite(heights(folder / "model.tif")).mean() > 0.4
@@ -162,6 +165,7 @@ def test_10_compare_with_lidar(cook):
     assert (folder / "absolute.html").exists() and (folder / "shape.html").exists()
 
 
+@pytest.mark.slow
 def test_11_the_right_place(cook):
     folder, said = cook(11)
     truth = str(folder / "mountains" / "truth.tif")
@@ -191,6 +195,7 @@ def test_12_bare_earth(cook):
     assert "Profiles" in (folder / "dtm.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_13_two_dates_of_a_quarry(cook):
     folder, said = cook(13)
     found = {name: float(value) for name, value in re.findall(r"(\w+_M3|CHANGES):\t([-\d.]+)", said)}
@@ -201,6 +206,7 @@ def test_13_two_dates_of_a_quarry(cook):
     assert (folder / "change.html").exists() and "10,000 m³" in TASKS[13]
 
 
+@pytest.mark.slow
 def test_14_ortho_ready_images(cook):
     folder, said = cook(14)
     assert said.count("projected to 960.00 m above the ellipsoid (ORTHO_READY_HEIGHT)") == 2
@@ -231,6 +237,7 @@ def test_16_a_folder_in_and_an_item_out(cook):
     assert times == ["2024-05-01T10:20:01.000Z", "2024-05-01T10:20:02.000Z"]
 
 
+@pytest.mark.slow
 def test_17_a_satellite_that_shook(cook):
     folder, _ = cook(17)
     scene = json.loads((folder / "work_jitter" / "reconstructed.json").read_text(encoding="utf-8"))
@@ -239,6 +246,7 @@ def test_17_a_satellite_that_shook(cook):
     assert np.isfinite(heights(folder / "dsm_jitter.tif")).mean() > 0.4
 
 
+@pytest.mark.slow
 def test_18_damage_after_an_earthquake(cook):
     folder, said = cook(18)
     assert "registered" in json.dumps(json.loads((folder / "work_after" / "registered.json").read_text())).lower()
@@ -252,6 +260,7 @@ def test_18_damage_after_an_earthquake(cook):
     assert (ring.min(axis=0) < place).all() and (place < ring.max(axis=0)).all()
 
 
+@pytest.mark.slow
 def test_19_two_sensors(cook):
     folder, said = cook(19)
     assert "each pair is matched at that of its coarser image" in said

@@ -76,6 +76,7 @@ def test_the_first_stage_in_the_desktop(desktop, sample, tmp_path):
     assert layer["renderer"] == "QgsGraduatedSymbolRenderer"
 
 
+@pytest.mark.slow
 def test_a_mosaic_of_scenes_in_the_desktop(desktop, town, tmp_path):
     """Two halves of the town, as reconstructed scenes; the mosaic is a VRT."""
     from osgeo import gdal
@@ -117,6 +118,7 @@ def test_an_error_map_in_the_desktop(desktop, town, tmp_path):
     assert layer["crs"] == "EPSG:32631"
 
 
+@pytest.mark.slow
 def test_a_registration_in_the_desktop_shows_what_it_did(desktop, town, tmp_path):
     from repm_qgis.runtime.progress import Silent
     from repm_qgis.scene import Scene
@@ -159,6 +161,7 @@ def test_a_dsm_in_the_elevation_profile_tool(desktop_start, town, tmp_path):
     assert low - margin <= found["heights"][0] < found["heights"][1] <= high + margin
 
 
+@pytest.mark.slow
 def test_the_terrain_of_a_town_in_the_desktop(desktop, town, tmp_path):
     given = {"DSM": town["truth"], "LARGEST": 60, "MASK": "TEMPORARY_OUTPUT", "REPORT": str(tmp_path / "dtm.html")}
     found = desktop("Find the terrain", given)

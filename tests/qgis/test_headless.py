@@ -100,6 +100,7 @@ def test_an_image_without_rpc_is_one_sentence_and_code_1(headless, tmp_path, sta
         (["repm:comparedsm", "--", f"DSM={IMAGE}", f"REFERENCE={IMAGE}", "THRESHOLDS=high"], "THRESHOLDS is 'high'"),
     ],
 )
+@pytest.mark.slow
 def test_user_errors_are_one_sentence_and_code_1(headless, tmp_path, words, sentence):
     done = headless("run", *words, REPM_ENGINE_PYTHON=sys.executable)
     assert done.returncode == 1, said(done)
@@ -136,6 +137,7 @@ def test_epmfit_runs_in_qgis_and_its_scene_goes_on_to_errormap(headless, sample,
     assert (tmp_path / "e.qml").exists()
 
 
+@pytest.mark.slow
 def test_the_zip_installs_into_an_empty_profile_and_runs(headless, tmp_path):
     done = subprocess.run(
         [sys.executable, str(ROOT / "scripts" / "package"), str(tmp_path / "dist")],
@@ -209,6 +211,7 @@ def wait_for(condition, seconds):
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
 @pytest.mark.parametrize("processes", [2, 4])  # qgis_process with its engine, and with workers as well
+@pytest.mark.slow
 def test_ctrl_c_and_sigterm_end_a_run_with_everything_it_started(headless_start, town, tmp_path, number, processes):
     mark = f"REPM_TEST_MARK={tmp_path}"
     running = headless_start(

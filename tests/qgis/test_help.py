@@ -151,6 +151,7 @@ def examples(name):
     return [" ".join(found.split("\\\n")) for found in re.findall(r"(?m)^    qgis_process ((?:.*\\\n)*.*)$", text)]
 
 
+@pytest.mark.slow
 def test_the_examples_of_help_work_one_after_the_other_from_the_zip(headless, tmp_path):
     """Word for word, but for smaller images: each of them takes what those before it wrote."""
     assert sorted(IN_ORDER) == NAMES and all(examples(name) for name in NAMES)

@@ -37,6 +37,7 @@ def network(tmp_path):
     server.server_close()
 
 
+@pytest.mark.slow
 def test_grids_are_fetched_a_batch_ends_well_loading_is_quiet(sample, desktop_start, network, tmp_path, monkeypatch):
     monkeypatch.setenv("PROJ_NETWORK_ENDPOINT", network)
     for variable in ("XDG_DATA_HOME", "PROJ_USER_WRITABLE_DIRECTORY", "http_proxy", "HTTP_PROXY", "all_proxy"):

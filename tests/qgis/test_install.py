@@ -35,6 +35,7 @@ def wheels(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_headless_it_installs_from_a_folder_of_wheels_and_an_update_keeps_it(
     headless, unpacked_profile, wheels, tmp_path
 ):
@@ -93,6 +94,7 @@ desktop = pytest.mark.skipif(
 
 
 @desktop
+@pytest.mark.slow
 def test_the_desktop_offers_installs_and_removes(plugin, desktop_start, wheels):
     from repm.processing_provider.provider import ALGORITHMS
 

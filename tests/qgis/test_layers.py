@@ -119,6 +119,7 @@ def tree(node):
     return found
 
 
+@pytest.mark.slow
 def test_all_products_come_grouped_and_in_order(load, rebuilt, tmp_path, feedback):
     datum = "(WGS 84 ellipsoid)"
     folder = tmp_path / "cloud ü"

@@ -11,6 +11,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
+@pytest.mark.slow
 def test_three_steps_lead_a_new_user_to_a_dsm_and_the_tutorial(desktop_start):
     found = desktop_start("drive_menu.py", {}, settings="")
     assert {"First steps", "Inspect images…", "Make a DSM…", "Tutorial", "Help"} <= set(found["menu"])

@@ -21,6 +21,7 @@ INPUT = WORST + "|layername=b\n%41"
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="Windows refuses such names itself")
 
 
+@pytest.mark.slow
 def test_images_and_products_of_the_worst_names(load, town, tmp_path):
     folder = tmp_path / WORST
     folder.mkdir()

@@ -12,6 +12,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
+@pytest.mark.slow
 def test_run_compare_register_run_and_compare_again(desktop_start, town, tmp_path):
     from repm_qgis.evaluation.scoring import score_files
     from repm_qgis.scene import Scene

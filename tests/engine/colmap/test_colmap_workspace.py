@@ -125,6 +125,7 @@ def test_the_installed_colmap_counts_from_pixel_centres_here(made):
 
 
 @pytest.mark.parametrize("kind", ("urban", "mountains"))
+@pytest.mark.slow
 def test_fusion_of_true_depths_is_the_true_surface(request, made, kind, tmp_path):
     truth = request.getfixturevalue(kind)
     scene, tile = true_frame(truth, 60.0 if kind == "urban" else 120.0)

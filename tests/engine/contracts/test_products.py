@@ -75,6 +75,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(urban, tmp_pa
     assert not said.fractions and not (tmp_path / "w" / "scene.json").exists()
 
 
+@pytest.mark.slow
 def test_the_report_names_every_product_that_was_made(urban_run):
     named = {"view_heights": "/somewhere/pairs", "stac": "/somewhere/dsm.json", "water_mask": "/somewhere/water.tif"}
     made = {**urban_run.result, **named}

@@ -79,6 +79,7 @@ def test_a_clouds_points_lay_a_dsm_onto_it(dsm, tmp_path):
     assert "point to plane" in (tmp_path / "r.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_moving_the_dsm_moves_the_answer_and_nothing_else(make_raster, tmp_path):
     """Neither surface is resampled: the same DSM elsewhere finds the same place to a few millimetres."""
     reference = las(tmp_path / "lidar.laz", scattered(230_000, 3))
@@ -92,6 +93,7 @@ def test_moving_the_dsm_moves_the_answer_and_nothing_else(make_raster, tmp_path)
     assert np.ptp(places, axis=0).max() < 0.01
 
 
+@pytest.mark.slow
 def test_a_cloud_is_a_dsm_too(dsm, tmp_path, make_raster):
     cloud = las(tmp_path / "matched.laz", scattered(230_000, 4) + [0.4, 0.3, -0.5])
     row, column = np.mgrid[:480, :480]

@@ -31,6 +31,7 @@ def item_of(path):
     return json.loads(Path(path).read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_the_item_has_what_stac_asks_for(urban_run, timed, tmp_path):
     files = {name: urban_run.result[name] for name in ("output", "confidence", "ortho", "cloud")}
     for name, file in files.items():

@@ -116,6 +116,7 @@ def test_about_two_thirds_of_heights_are_within_it(request, told, kind):
     assert np.median(error[half]) > 1.05 * np.median(error[~half])
 
 
+@pytest.mark.slow
 def test_each_pair_has_its_own_surface_on_the_same_cells(urban_run, tmp_path, told):
     fused = run_stage(
         "dsmfuse",

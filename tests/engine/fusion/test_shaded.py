@@ -54,6 +54,7 @@ def lit_by(height, sun, row, column):
 
 
 @pytest.mark.parametrize("sun", SUNS, ids=str)
+@pytest.mark.slow
 def test_shadows_fall_where_rays_to_the_sun_are_blocked(sun):
     height = town()
     shadow = cast_shadow(height, CELL, sun)

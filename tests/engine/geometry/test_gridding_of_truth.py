@@ -71,6 +71,7 @@ def measured(dsm, truth, cell):
 
 @pytest.mark.parametrize("cell", (0.5, 1.0))
 @pytest.mark.parametrize("scene", ("truth_urban", "urban", "mountains"))
+@pytest.mark.slow
 def test_true_points_make_the_true_surface(request, capsys, scene, cell):
     if scene == "truth_urban":
         path = request.getfixturevalue("shared_data") / "truth_urban" / "truth.tif"

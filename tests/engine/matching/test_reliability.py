@@ -142,6 +142,7 @@ def test_what_only_one_image_shows_speaks_against_nothing():
     np.testing.assert_array_equal(np.isfinite(left.disparity), np.isfinite(found.disparity))
 
 
+@pytest.mark.slow
 def test_lakes_of_a_simulated_scene_end_as_nodata(tmp_path, pipeline):
     """Through the whole pipeline: still water, ripples and glint; the land around them keeps its heights."""
     made = make_pair(str(tmp_path / "scene"), size=640, seed=5, clouds=False)

@@ -394,6 +394,7 @@ def test_the_overview_of_a_vrt_is_the_mean_and_numbers_are_not_averaged(both):
         assert set(np.unique(dataset.GetRasterBand(1).GetOverview(0).ReadAsArray())) <= {-9999, 1, 2, 3, 4}
 
 
+@pytest.mark.slow
 def test_an_old_vrt_and_its_tiles_stay_until_the_new_ones_are_whole(four, tmp_path, told, monkeypatch):
     out = {"output": str(tmp_path / "m.vrt"), "sources": str(tmp_path / "s.vrt"), "parameters": SMALL}
     mosaic(told, tmp_path, four, **out)

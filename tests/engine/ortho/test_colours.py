@@ -145,6 +145,7 @@ def test_brovey_is_that_of_gdal(tmp_path):
     np.testing.assert_allclose(brovey(bands, pan, weights), made.ReadAsArray(), rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_weights_and_shift_are_measured(town):
     views = Scene.load(town["scene"]).views
     image = load_views((town["xs"][0],))[0]
@@ -196,6 +197,7 @@ def test_sixteen_bits_stay_and_bands_say_what_they_are(sharp):
     assert 'type="multibandcolor" redBand="1"' in style and "@" not in style
 
 
+@pytest.mark.slow
 def test_the_number_of_workers_and_who_else_runs_change_no_byte(town, sharp, tmp_path, told):
     """In blocks so small that there are many, and the same blocks by one worker and by three."""
     small = replace(ENGINE, ortho=replace(ENGINE.ortho, block_cells=150))

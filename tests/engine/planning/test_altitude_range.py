@@ -65,6 +65,7 @@ def test_real_pairs(shared_data, told):
     assert np.diff(found.altitudes)[0] < 2.5 * (high - low) + 100
 
 
+@pytest.mark.slow
 def test_stripes_of_zeros_do_not_widen_the_range(told, tmp_path):
     """A quarter of all rows: false matches of black on black, and of the stripes' edges, lay 350 and 900 m away."""
     from osgeo import gdal

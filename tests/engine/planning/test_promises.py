@@ -129,12 +129,14 @@ REAL = (
 
 
 @pytest.mark.parametrize(("folder", "names", "altitudes"), REAL)
+@pytest.mark.slow
 def test_ordinary_real_images_are_not_warned_of(shared_data, tmp_path, told, folder, names, altitudes):
     images = sorted((shared_data / folder).glob(names))
     assert len(images) >= 2 and warnings_of_rpcs(tmp_path, told, images, altitudes)[1] == []
 
 
 @pytest.mark.parametrize(("folder", "names", "altitudes"), REAL)
+@pytest.mark.slow
 def test_an_rpc_that_is_wrong_by_60_px_is(shared_data, tmp_path, told, folder, names, altitudes):
     images = sorted((shared_data / folder).glob(names))
     scene, texts = warnings_of_rpcs(tmp_path, told, images, altitudes, 60.0)

@@ -66,6 +66,7 @@ def runs(demo, tmp_path_factory):
 
 @pytest.mark.skipif(os.name == "nt", reason="measures with getrusage, which Windows does not have")
 @pytest.mark.parametrize("preset", ["none", "fast"])
+@pytest.mark.slow
 def test_the_estimate_is_right_within_a_factor_of_two(runs, preset):
     scene, _, core_s, mib = runs[preset]
     expected = estimate_run(scene, scene.pairs, workers=1)

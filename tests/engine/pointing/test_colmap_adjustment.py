@@ -115,6 +115,7 @@ def test_what_it_cannot_do_is_said_before_the_work():
             ReconstructOptions(**{"scene": "s", "output_scene": "o", "adjustment": "colmap", **more})
 
 
+@pytest.mark.slow
 def test_both_routes_make_the_same_dsm(urban, tmp_path, told):
     made = run_stage("epmfit", {"images": urban.images, "workspace": str(tmp_path)}, told())
     heights = []

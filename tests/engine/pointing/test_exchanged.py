@@ -130,6 +130,7 @@ def with_rpcs(images, order, folder):
 
 @pytest.mark.parametrize("kind", ("urban", "mountains"))
 @pytest.mark.parametrize("order", ((1, 0), (1, 0, 2)))
+@pytest.mark.slow
 def test_a_run_with_exchanged_rpcs_makes_no_dsm(request, tmp_path, told, kind, order):
     """The surface was upside down, its correlation with the truth -0.98, and the report said "Good."."""
     images = with_rpcs(request.getfixturevalue(kind).images[: len(order)], order, tmp_path)
@@ -160,6 +161,7 @@ def drifting(images, px, folder):
 
 
 @pytest.mark.parametrize(("px", "outcome"), ((0.0, ""), (4.0, "warned"), (40.0, "refused")))
+@pytest.mark.slow
 def test_a_trend_that_no_sound_rpc_has_is_not_taken_away_in_silence(urban, tmp_path, told, px, outcome):
     """An affine correction took away 14 px without a word."""
     images, said = drifting(urban.images[:3], px, tmp_path), told()

@@ -117,6 +117,7 @@ def test_each_pair_of_a_block_has_patches_of_its_own(block):
     assert not set(more) & set(first)
 
 
+@pytest.mark.slow
 def test_a_block_is_adjusted_as_a_whole(block):
     pointing = replace(POINTING, ties=IN_PATCHES)
     found = point_views(

@@ -29,6 +29,7 @@ def left(case):
     return len(found.tracks), float(case.observable_px(found.adjusted.pointing).max())
 
 
+@pytest.mark.slow
 def test_equal_roofs_on_a_grid_are_not_taken_for_each_other(spec, tmp_path):
     surface = hard_scenes.estate(surface_bounds(spec, make_views(spec)), spec, (18.0, 24.0), -11.0, 0.3, 0.016)
     case = case_of(spec, [surface] * 2, tmp_path)
@@ -37,6 +38,7 @@ def test_equal_roofs_on_a_grid_are_not_taken_for_each_other(spec, tmp_path):
     assert ties >= 30 and error < 0.15
 
 
+@pytest.mark.slow
 def test_shadows_moved_by_hours(spec, tmp_path):
     surfaces = [hard_scenes.town_under(spec, sun) for sun in (spec.sun, hard_scenes.MORNING)]
     np.testing.assert_array_equal(surfaces[0].height, surfaces[1].height)

@@ -73,6 +73,7 @@ def shaken():
     return Case(0.8)
 
 
+@pytest.mark.slow
 def test_three_views_tell_most_of_the_waves(shaken):
     found = adjust(shaken.views, shaken.tracks(), 700.0, "auto")
     steady = adjust(shaken.views, shaken.tracks(), 700.0, "shift")

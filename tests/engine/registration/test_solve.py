@@ -106,6 +106,7 @@ def test_a_known_shift_is_found_with_an_honest_deviation(kind, metres, town, bar
     assert (solved.deviations[:2] < bars[0]).all() and nmad(solved.after_m) < nmad(before)
 
 
+@pytest.mark.slow
 def test_deviations_are_honest_over_seeds():
     """About 68 % of errors are within one deviation, though errors of neighbouring cells are alike."""
     normal = [
@@ -206,6 +207,7 @@ def test_a_cell_may_be_wider_than_high():
     ),
 )
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.slow
 def test_another_relief_is_named(seed, change, words):
     """Heights with a weight agree by choice: 9430 of 10372 heights of a reference were "used" for a surface upside
     down. A plain says nothing."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from repm_qgis.rpc import Rpc
 from repm_qgis.rpc.readers import read_rpc_file
 from tests.engine.rpc.fuzz import MAX_MB, MAX_MS, fuzz
@@ -12,6 +14,7 @@ from tests.engine.rpc.naive_reader import naive
 from tests.engine.rpc.writers import WRITERS
 
 
+@pytest.mark.slow
 def test_two_thousand_broken_files():
     report = fuzz(2000, seed=20)
     assert report.crashed == [] and report.wrong == [], report.table()

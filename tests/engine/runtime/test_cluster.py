@@ -86,6 +86,7 @@ def test_cancel_ends_a_run_within_two_seconds(cluster, on):
     cluster.renew()
 
 
+@pytest.mark.slow
 def test_the_pipeline_gives_the_same_bytes(cluster, urban, told, tmp_path):
     options = {"images": urban.images[:2], "tile_size": 256, "resolution": 0.5, "workers": 1}
 
@@ -217,6 +218,7 @@ def test_storage_that_is_not_shared_is_a_sentence(cluster, on, tmp_path, monkeyp
         assert os.listdir(tmp_path / "out") == []
 
 
+@pytest.mark.slow
 def test_images_in_cloud_storage_are_read_by_the_workers(cluster, on, urban, told, tmp_path, monkeypatch):
     """A bucket on this machine: the same heights as from files; workers without its settings are a sentence."""
     bases = [os.path.basename(path) for path in urban.images[:2]]

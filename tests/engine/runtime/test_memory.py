@@ -159,6 +159,7 @@ def measured(shared_data, pipeline, tmp_path_factory):
 
 @linux
 @pytest.mark.parametrize("side, extra", ((300, 0.0), (1400, 0.0), (1400, 300.0)))
+@pytest.mark.slow
 def test_the_estimate_of_matching_is_right_within_a_half(measured, side, extra):
     peak, *facts = measured(MATCHING, side, extra)
     assert peak / 1.5 < matching_mib(*facts) < 1.5 * peak
@@ -178,6 +179,7 @@ def test_the_estimate_knows_that_eight_directions_keep_all_costs(measured):
 
 @linux
 @pytest.mark.parametrize("cell, maps", ((1.0, 1), (0.5, 6), (0.25, 3)))
+@pytest.mark.slow
 def test_the_estimate_of_fusing_is_right_within_a_half(measured, cell, maps):
     peak, *facts = measured(FUSING, cell, maps)
     assert peak / 1.5 < fusing_mib(*facts) < 1.5 * peak
@@ -185,6 +187,7 @@ def test_the_estimate_of_fusing_is_right_within_a_half(measured, cell, maps):
 
 @linux
 @pytest.mark.parametrize("views, bands", ((1, 3), (6, 3), (4, 4), (10, 3)))
+@pytest.mark.slow
 def test_the_estimate_of_colouring_is_right_within_a_fifth(measured, views, bands):
     peak, *facts = measured(COLOURING, views, bands)
     assert peak / 1.2 < colouring_mib(*facts) < 1.2 * peak
@@ -199,6 +202,7 @@ def test_the_estimate_of_refining_is_right_within_a_tenth(measured, writes):
 
 @linux
 @pytest.mark.parametrize("maps, normals", ((1, False), (4, False), (2, True)))
+@pytest.mark.slow
 def test_the_estimate_of_gathering_points_is_right_within_a_half(measured, maps, normals):
     peak, *facts = measured(GATHERING, maps, int(normals))
     assert peak / 1.5 < gathering_mib(*facts) < 1.5 * peak
@@ -206,6 +210,7 @@ def test_the_estimate_of_gathering_points_is_right_within_a_half(measured, maps,
 
 @linux
 @pytest.mark.parametrize("side, walls", ((150, True), (1200, False), (1200, True)))
+@pytest.mark.slow
 def test_the_estimate_of_choosing_heights_is_right_within_a_half(tmp_path, side, walls):
     """Roofs all over the block, a third of the maps displaced, and ground in shadows."""
     rng = np.random.default_rng(1)
@@ -264,6 +269,7 @@ def test_free_memory_is_what_the_machine_has():
     assert 16 < found < 1 << 24
 
 
+@pytest.mark.slow
 def test_a_dsm_does_not_depend_on_the_budget(urban, tmp_path, pipeline):
     """Enough for one worker and for many: the same bytes; too little: a sentence."""
     options = {

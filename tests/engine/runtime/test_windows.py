@@ -61,6 +61,7 @@ def heights(path):
         return dataset.ReadAsArray()
 
 
+@pytest.mark.slow
 def test_a_run_by_spawned_workers_gives_the_same_heights(urban_run, urban, tmp_path):
     place = tmp_path / "Ünïcode 日本 & spaces (1)"
     place.mkdir()
@@ -92,6 +93,7 @@ def test_a_failure_is_a_sentence_with_names_that_the_code_page_lacks(tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="test_parallel itself has spawned workers there")
+@pytest.mark.slow
 def test_tasks_pass_all_their_tests_with_spawned_workers(tmp_path):
     """Order, exceptions, deaths and Cancel; the tests about memory start engines of their own."""
     start = tmp_path / "start.py"

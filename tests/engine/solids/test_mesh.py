@@ -177,6 +177,7 @@ def simplified(tmp_path, heights, limit, **options):
 
 
 @pytest.mark.parametrize("shape", ((97, 129), (101, 203), (40, 300)))
+@pytest.mark.slow
 def test_fewer_vertices_cover_the_surface_once_without_cracks(tmp_path, shape):
     heights, _ = town(*shape)
     heights += np.random.default_rng(5).normal(0, 0.05, shape)

@@ -66,6 +66,7 @@ def test_without_filling_only_matched_heights_are_left(fused):
 
 
 @pytest.mark.parametrize("kind", ("urban", "mountains"))
+@pytest.mark.slow
 def test_heights_do_not_depend_on_the_blocks(request, tmp_path, told, kind):
     """Three sizes of blocks, in which tiles are gridded and heights are chosen, and the same bytes."""
     scene = request.getfixturevalue(f"{kind}_run").result["scene"]
@@ -81,6 +82,7 @@ def test_heights_do_not_depend_on_the_blocks(request, tmp_path, told, kind):
 
 
 @pytest.mark.parametrize("kind", ("urban", "mountains"))
+@pytest.mark.slow
 def test_heights_do_not_depend_on_what_lies_far_away(request, tmp_path, told, monkeypatch, kind):
     """The same height maps, of which three EXTENTs are fused: farther than 50 m from their borders, the same bytes."""
     scene, laid_out = request.getfixturevalue(f"{kind}_run").result["scene"], DsmLayout.of

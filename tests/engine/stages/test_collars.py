@@ -100,6 +100,7 @@ def within(mountains):
     return {"extent": [xmin + across, ymin + up, xmax - across, ymax - up], "extent_crs": mountains.crs}
 
 
+@pytest.mark.slow
 def test_of_a_huge_raster_only_the_extent_counts(in_corner, sparse, within, tmp_path, told):
     made = {}
     for name, images in (("sparse", sparse), ("plain", in_corner(400, (0, 0)))):

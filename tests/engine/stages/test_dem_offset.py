@@ -50,6 +50,7 @@ def told_nothing():
 
 
 @pytest.mark.parametrize(("up", "fill"), ((0.0, "occlusions"), (-55.0, "all")))
+@pytest.mark.slow
 def test_the_offset_is_that_of_the_truth(urban, urban_run, tmp_path, told, up, fill):
     """Whatever is filled in on the DEM itself counts nothing."""
     said, dem = told(), dem_of(urban, tmp_path, up)

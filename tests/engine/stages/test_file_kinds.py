@@ -55,11 +55,13 @@ def plain(dsm_of):
         ("JPEG 2000, lossless", "VRT", "COG"),
     ),
 )
+@pytest.mark.slow
 def test_kinds_that_keep_every_value(dsm_of, plain, kinds):
     np.testing.assert_array_equal(dsm_of(*kinds), plain)
 
 
 @pytest.mark.parametrize("kinds", (("float, 0 to 1", "12 bit", "float, 0 to 1"), ("float", "RGBA, 16 bit", "float")))
+@pytest.mark.slow
 def test_kinds_of_which_means_are_not_rounded(dsm_of, plain, kinds):
     found = dsm_of(*kinds)
     both = (found != -9999) & (plain != -9999)

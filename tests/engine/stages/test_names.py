@@ -65,6 +65,7 @@ def named(urban, told, tmp_path_factory):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows refuses such names itself")
+@pytest.mark.slow
 def test_the_worst_names_change_nothing(named, urban, urban_run, told):
     made, name = named
     same, wanted = (gdal.Open(path).ReadAsArray() for path in (made["output"], urban_run.result["output"]))

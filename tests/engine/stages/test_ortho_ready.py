@@ -60,6 +60,7 @@ def nmad(values):
     return 1.4826 * np.median(np.abs(values - np.median(values)))
 
 
+@pytest.mark.slow
 def test_the_dsm_is_that_of_the_sensors_images(mountains, mountains_run, delivered, tmp_path, told):
     said = told()
     # Fails without the model of ortho-ready images: their RPCs see other pixels.

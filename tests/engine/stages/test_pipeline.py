@@ -265,6 +265,7 @@ def test_ties_are_where_the_true_surface_is(mountains_run):
     assert inside.sum() > 100 and 1.4826 * np.median(np.abs(error - np.median(error))) < 1.7
 
 
+@pytest.mark.slow
 def test_stages_one_by_one_give_the_same_dsm(urban, urban_run, tmp_path, told):
     fitted = run_stage("epmfit", {"images": urban.images, "workspace": str(tmp_path), "tile_size": 256}, told())
     refined = run_stage(
@@ -380,6 +381,7 @@ def test_another_crs_has_no_seams_and_the_same_heights(urban, urban_run, tmp_pat
     assert fused["valid"] == pytest.approx(np.isfinite(height).sum(), abs=20)
 
 
+@pytest.mark.slow
 def test_heights_above_a_geoid_differ_by_projs_undulation_at_every_cell(urban_run, tmp_path, told):
     import pyproj
     from pyproj.transformer import TransformerGroup
@@ -488,6 +490,7 @@ def test_the_pipeline_hands_the_adjustment_on(urban, told, tmp_path, monkeypatch
     assert caught.value.args == ("colmap", "shift")
 
 
+@pytest.mark.slow
 def test_holes_are_filled_on_the_scenes_dem_and_said(urban, tmp_path, pipeline):
     """FILL=all with a DEM: no hole is left inside, the fourth band tells them, and they lie on the DEM's surface."""
     dem = str(tmp_path / "dem.tif")

@@ -303,6 +303,7 @@ def place_of(scene):
     return np.array(Scene.load(scene).registration.shift.moved)
 
 
+@pytest.mark.slow
 def test_scenes_that_overlap_meet_in_the_middle_without_a_reference(apart, tmp_path, told):
     first, second = apart
     before = [place_of(scene) for scene in apart]

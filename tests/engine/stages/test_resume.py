@@ -83,6 +83,7 @@ def again(whole, tmp_path, told):
     return run
 
 
+@pytest.mark.slow
 def test_a_second_run_reuses_everything_and_says_so(again, whole):
     before = maps(again.workspace)
     result, said = again()
@@ -102,6 +103,7 @@ def points_of(path):
     return place, found
 
 
+@pytest.mark.slow
 def test_where_products_are_copied_to_does_not_matter(again, urban, tmp_path):
     """QGIS names other temporary files at every run; those of the first are gone at the second."""
     runs = []
@@ -125,6 +127,7 @@ def test_where_products_are_copied_to_does_not_matter(again, urban, tmp_path):
     assert (again.workspace / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_control_points_that_say_something_else_are_found_again(again, urban, tmp_path):
     gcps = tmp_path / "gcps.csv"
     gcps.write_text(Path(urban.made["gcps"]).read_text())
@@ -142,6 +145,7 @@ def test_control_points_that_say_something_else_are_found_again(again, urban, tm
         ({"altitude_max": 275.0}, [False, False, False]),
     ),
 )
+@pytest.mark.slow
 def test_a_changed_option_makes_anew_what_depends_on_it(again, whole, change, kept):
     before = maps(again.workspace)
     result, said = again(**change)
@@ -195,6 +199,7 @@ def damage(path, how):
 @pytest.mark.parametrize(
     "how, stopped", (("cut", True), ("text", False), ("empty", False), ("smaller", False), ("one bit", True))
 )
+@pytest.mark.slow
 def test_a_damaged_height_map_is_made_again_and_named(again, whole, how, stopped):
     path = sorted((again.workspace / "reconstructed_heights").glob("*.tif"))[0]
     good = heights(str(path))
@@ -257,6 +262,7 @@ def test_what_a_killed_run_left_is_no_hindrance(again, whole):
 
 
 @pytest.mark.parametrize("workers, share", ((1, 0.02), (1, 0.3), (1, 0.6), (1, 0.9), (2, 0.3), (2, 0.7)))
+@pytest.mark.slow
 def test_cancel_leaves_no_half_made_file_and_the_next_run_succeeds(urban, whole, tmp_path, told, workers, share):
     options = {
         **whole.options,
@@ -273,6 +279,7 @@ def test_cancel_leaves_no_half_made_file_and_the_next_run_succeeds(urban, whole,
         np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_with_the_tiles_it_has_finished(again, whole, told, tmp_path):
     """The whole process group killed in the middle of matching, as by the kernel where memory runs out."""
     folder = again.workspace / "reconstructed_heights"
@@ -376,6 +383,7 @@ def test_fusion_takes_its_tiles_whatever_is_made_of_the_finished_dsm(killed_fusi
 
 
 @pytest.mark.parametrize("change", ({"method": "median"}, {"resolution": 1.0}, {"fill": "none"}))
+@pytest.mark.slow
 def test_fusion_takes_no_tile_of_other_options(killed_fusion, told, tmp_path, change):
     options, folder = killed_fusion
     result = run_stage("dsmfuse", {**options, **change}, said := told())
@@ -396,6 +404,7 @@ def test_a_damaged_fused_tile_is_made_again(killed_fusion, whole, told):
 
 
 @pytest.mark.parametrize("how", ("zeros", "another height", "gone"))
+@pytest.mark.slow
 def test_damaged_heights_with_the_margin_are_not_reused(killed_fusion, whole, told, how):
     """A power cut leaves zeros in a file that the disk had not got yet: seams were 24 m off."""
     options, folder = killed_fusion

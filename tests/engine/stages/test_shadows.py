@@ -38,6 +38,7 @@ def begun():
 
 
 @pytest.mark.parametrize("fill", ["occlusions", "all"])
+@pytest.mark.slow
 def test_what_takes_the_ground_of_a_shadow_is_marked_and_counted(urban_run, tmp_path, told, begun, fill):
     plain, before, without = fused(urban_run, tmp_path / "plain", told(), "", begun, fill=fill)
     dsm, confidence, facts = fused(urban_run, tmp_path / "timed", told(), AFTERNOON, begun, fill=fill)

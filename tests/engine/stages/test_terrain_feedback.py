@@ -79,6 +79,7 @@ def test_tiles_that_ties_do_not_cover_get_their_altitudes_from_the_surface(mount
     assert min(spans) < scene.altitudes[1] - scene.altitudes[0]
 
 
+@pytest.mark.slow
 def test_a_run_refines_on_its_own_surface(mountains, terrain_run, told):
     scene = Scene.load(terrain_run.result["scene"])
     assert scene.refinement == "terrain" and Path(scene.surface).exists()
@@ -94,6 +95,7 @@ def test_a_run_refines_on_its_own_surface(mountains, terrain_run, told):
     assert found["nmad"] < 0.65 and found["valid"] > 99 and found["completeness_by_threshold"]["5"] > 99
 
 
+@pytest.mark.slow
 def test_the_same_bytes_with_one_worker(mountains, terrain_run, pipeline, tmp_path):
     alone = pipeline(
         mountains,
@@ -108,6 +110,7 @@ def test_the_same_bytes_with_one_worker(mountains, terrain_run, pipeline, tmp_pa
         assert gdal.Open(str(one)).ReadAsArray().tobytes() == gdal.Open(str(two)).ReadAsArray().tobytes()
 
 
+@pytest.mark.slow
 def test_a_second_run_takes_up_what_is_there(terrain_run, told):
     again = told()
     before = Path(terrain_run.result["output"]).read_bytes()

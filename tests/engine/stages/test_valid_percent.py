@@ -11,6 +11,7 @@ from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 
 
+@pytest.mark.slow
 def test_cells_finer_than_the_images_are_filled_and_that_is_said(urban, urban_run, tmp_path, told):
     """At half the ground sampling distance half of the cells were empty, without a word."""
     said, output = told(), str(tmp_path / "fine.tif")

@@ -26,6 +26,7 @@ def shares(pair, mask):
     return {name: float(water[classes == number].mean()) for name, number in {**WATER, "land": LAND}.items()}
 
 
+@pytest.mark.slow
 def test_the_index_finds_glint_and_mud_and_ends_at_the_bank(pair, tmp_path, told):
     job = {
         "images": pair.images,

@@ -92,6 +92,7 @@ def test_voids_that_are_to_stay(scene, tmp_path):
     assert (np.isnan(read(tmp_path / "output.tif")) == np.isnan(scene[1])).all()
 
 
+@pytest.mark.slow
 def test_neither_workers_nor_blocks_change_a_byte(scene, tmp_path):
     dsm = write(tmp_path / "dsm.tif", [scene[1]])
     found = []
