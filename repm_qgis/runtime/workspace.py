@@ -70,9 +70,7 @@ def ensure_folder(path: str) -> Path:
     folder = Path(path)
     _require_place(path)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
+        _make_and_try(folder)
     except OSError as error:
         if error.errno in OF_THE_DISK or _is_too_long(path, error):
             raise cannot_write(path, error) from error
@@ -81,6 +79,18 @@ def ensure_folder(path: str) -> Path:
             "or change its permissions."
         ) from error
     return folder
+
+
+def _make_and_try(folder: Path) -> None:
+    """Make a folder and write a file there; again where another run, which had made it, has just removed it."""
+    for last in (False, False, True):
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            with tempfile.TemporaryFile(dir=folder):
+                return
+        except FileNotFoundError:
+            if last:
+                raise
 
 
 _named: ContextVar[Optional[FrozenSet[str]]] = ContextVar("named", default=None)

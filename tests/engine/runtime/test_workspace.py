@@ -39,6 +39,20 @@ def test_text_is_written_whole(tmp_path):
     assert open(path, encoding="utf-8").read() == "other" and os.listdir(tmp_path / "new") == ["a.txt"]
 
 
+def test_a_folder_that_another_run_has_just_removed_is_made_again(tmp_path, monkeypatch):
+    """A run that is refused removes the folder that it made: in the moment between this run's folder and its file."""
+    made, removals = workspace.tempfile.TemporaryFile, []
+
+    def removed_before(**named):
+        if len(removals) < 2:
+            os.rmdir(tmp_path / "w")
+            removals.append(True)
+        return made(**named)
+
+    monkeypatch.setattr(workspace.tempfile, "TemporaryFile", removed_before)
+    assert ensure_folder(str(tmp_path / "w")).is_dir() and len(removals) == 2
+
+
 def test_what_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("kept")
     (tmp_path / "folder").mkdir()
