@@ -182,6 +182,17 @@ class View(Record):
         return replace(self, pointing=np.asarray(pointing, dtype=np.float64), jitter=jitter)
 
 
+def common_gsd_m(gsd_m: Sequence[float]) -> Tuple[float, ...]:
+    """For each pair's GSD, the coarsest one of those that are about alike: keypoints of one view that are found at
+    different scales are no common tie points, so that there are as few scales as possible."""
+    common: Dict[float, float] = {}
+    coarsest = math.inf
+    for one in sorted(set(gsd_m), reverse=True):
+        coarsest = coarsest if coarsest <= SAMPLING.alike * one else one
+        common[one] = coarsest
+    return tuple(common[one] for one in gsd_m)
+
+
 def finest_gsd_m(views: Sequence[View]) -> float:
     """The finest ground sampling distance at which a pair of views can be matched: that of the finest view, unless it
     is much finer than all others."""

@@ -189,7 +189,7 @@ def fitting_mib(cells: int) -> float:
 
 
 def colouring_mib(cells: int, views: int, bands: int) -> float:
-    """Peak memory of a worker that colours a block of so many cells with so many views (ortho/colour_ortho.py), MiB.
+    """Peak memory of a worker that colours a block of so many cells with so many views (ortho/colour_blocks.py), MiB.
 
     Fitted to measured peaks of 1 to 8 views of 3 bands and 1 to 3 pansharpened ones of 4, on 0.1 to 0.9 million cells:
     one view alone takes what its own colours need, several take what choosing between them needs. The visibility test

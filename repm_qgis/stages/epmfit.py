@@ -38,9 +38,19 @@ from ..runtime.memory import planned_mib
 from ..runtime.parallel import task_mib
 from ..runtime.progress import Part, Progress, Recorder, counted
 from ..runtime.workspace import ensure_folder, file_identity, fingerprint, with_copy
-from ..scene import Scene, Tile, TileView, View, common_heights, finest_gsd_m, folder_of, middle_of, reusable
+from ..scene import (
+    Scene,
+    Tile,
+    TileView,
+    View,
+    common_gsd_m,
+    common_heights,
+    finest_gsd_m,
+    folder_of,
+    middle_of,
+    reusable,
+)
 from ..stereo.parameters import STEREO
-from ..ties.tie_points import common_gsd_m
 from .parameters import ENGINE, EngineParameters, TileParameters
 
 _MOST_NAMED = 12  # images that the log names one by one

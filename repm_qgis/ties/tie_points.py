@@ -6,7 +6,6 @@ vertical parallax and the disparity of a match: only few candidates compete, and
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import partial
 from typing import Dict, List, Optional, Sequence, Tuple
@@ -28,7 +27,7 @@ from ..planning.graph import components
 from ..planning.overlap import foreign_rpc
 from ..runtime.parallel import run_tasks
 from ..runtime.progress import Part, Progress, counted
-from ..scene import Scene, View
+from ..scene import Scene, View, common_gsd_m
 from ..stereo.pairing import ground_points, rectify_over, reductions, refined_view
 from ..stereo.rectification import RectifiedPair
 from .keypoints import CPU_DETECTOR, Detector
@@ -173,17 +172,6 @@ class _Search:
     def pairs(self, place: Bounds) -> Tuple[Pair, ...]:
         """The pairs that may see a patch."""
         return self.every if self.block is None else tuple(self.block.seeing(place))
-
-
-def common_gsd_m(gsd_m: Sequence[float]) -> Tuple[float, ...]:
-    """For each pair's GSD, the coarsest one of those that are about alike: keypoints of one view that are found at
-    different scales are no common tie points, so that there are as few scales as possible."""
-    common: Dict[float, float] = {}
-    coarsest = math.inf
-    for one in sorted(set(gsd_m), reverse=True):
-        coarsest = coarsest if coarsest <= SAMPLING.alike * one else one
-        common[one] = coarsest
-    return tuple(common[one] for one in gsd_m)
 
 
 def _match_patch(task: _PatchTask) -> Dict[Pair, PairMatches]:

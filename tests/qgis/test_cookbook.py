@@ -287,4 +287,5 @@ def test_20_a_quarry_over_three_dates(cook):
 def test_the_whole_book_is_quick():
     if len(SPENT) < 1 + len(TASKS):
         pytest.skip(f"only {len(SPENT)} of {1 + len(TASKS)} parts were run in this session")
-    assert sum(SPENT.values()) < 90, SPENT
+    # Against what precedes all tasks, the sample images and their DSM: seconds depend on the processor.
+    assert sum(SPENT.values()) < 15 * SPENT["before"], SPENT

@@ -93,7 +93,7 @@ from pathlib import Path
 from repm_qgis.contracts.arrays import Window
 from repm_qgis.fusion.finished import FinishedSurface
 from repm_qgis.geometry.vertical import HeightDatum
-from repm_qgis.ortho.colour_ortho import ColourTask, _block
+from repm_qgis.ortho.colour_blocks import ColourTask, block
 from repm_qgis.ortho.colour_sources import ColourPlan, ColourSource
 from repm_qgis.ortho.parameters import ORTHO
 from repm_qgis.ortho.seen_surface import SeenSurface
@@ -103,7 +103,8 @@ own = Window(0, 0, *dsm.grid.size)
 sources = tuple(ColourSource(scene.views[i % 2], (1,) * bands) for i in range(views))
 plan = ColourPlan(sources, tuple("abcdef"[:bands]), False, "uint16")
 every = replace(ORTHO, colour=replace(ORTHO.colour, least_views=views, most_views=views))
-_block(ColourTask(plan, SeenSurface(dsm, 0.0, 200), 1, every, own, (20.0,) * bands, f"{out}{side}{extra}.npy"))
+seen = replace(SeenSurface.of(dsm, scene.views), level=0.0, reach=200)
+block(ColourTask(plan, seen, 1, every, own, (20.0,) * bands, f"{out}{side}{extra}.npy"))
 end(own.width * own.height, views, bands)
 """
 )

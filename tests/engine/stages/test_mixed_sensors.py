@@ -10,10 +10,9 @@ from osgeo import gdal
 
 from repm_qgis.planning.pair_selection import choose_pairs, pair_cost
 from repm_qgis.rpc.writers import rpc_tags
-from repm_qgis.scene import Scene, finest_gsd_m, load_views
+from repm_qgis.scene import Scene, common_gsd_m, finest_gsd_m, load_views
 from repm_qgis.stages import run_stage
 from repm_qgis.stereo.pairing import rectified_pair, reductions
-from repm_qgis.ties.tie_points import common_gsd_m
 
 RATIO = 2
 
