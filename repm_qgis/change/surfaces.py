@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import List, Optional, Protocol, Tuple
+from typing import List, Optional, Protocol, Sequence, Tuple
 
 import numpy as np
+from osgeo import gdal
 
 from ..contracts.arrays import FloatImage, Mask, Window
 from ..contracts.errors import EmptyResultError
@@ -64,6 +65,43 @@ class TwoDates(Protocol):
         """The overlap as one window, or patches that are spread evenly over it."""
 
 
+@dataclass(frozen=True)
+class ReadConfidence:
+    """What reads the bands of a confidence raster on a grid, without a vertical datum: expected errors, where heights
+    come from, and how many height maps agree; None for what it does not have."""
+
+    error: Optional[HeightWarper] = None
+    source: Optional[HeightWarper] = None
+    maps: Optional[HeightWarper] = None
+
+
+_BANDS = ("error", "source", "maps")
+
+
+def opened_confidence(path: Optional[str], option: str, grid: Grid, stack: ExitStack) -> ReadConfidence:
+    """The confidence raster that an option names, if it names one, closed with the stack. Raises ImageError."""
+    if not path:
+        return ReadConfidence()
+    dataset = stack.enter_context(opened(path))
+    bands = confidence_bands(dataset, option)
+    flat = replace(grid, wkt=flat_crs(grid.crs).to_wkt())  # errors have no vertical datum
+    numbers = {name: getattr(bands, name) for name in _BANDS}
+    return ReadConfidence(**{name: HeightWarper(dataset, flat, band=band) for name, band in numbers.items() if band})
+
+
+def opened_surfaces(paths: Sequence[str], stack: ExitStack) -> Tuple[List[gdal.Dataset], List[Grid], List[float]]:
+    """DSMs, closed with the stack, with their grids and the longer sides of their cells, m.
+
+    Raises ImageError (no CRS, rotated, other units than metres).
+    """
+    datasets = [stack.enter_context(opened(path)) for path in paths]
+    grids = [Grid.of(dataset) for dataset in datasets]
+    sides = [max(map(abs, cell_metres(grid))) for grid in grids]
+    for dataset in datasets:
+        to_metres(dataset)  # raises ImageError where that cannot be
+    return datasets, grids, sides
+
+
 class Surfaces:
     """Both DSMs and their confidences, opened on the grid of the coarser one, cut to what both cover.
 
@@ -72,32 +110,16 @@ class Surfaces:
 
     def __init__(self, options: ChangeOptions, stack: ExitStack, parameters: DetectionParameters = CHANGE.detection):
         """Raises ImageError (no CRS, rotated, other units than metres, no vertical transformation), OverlapError."""
-        datasets = [stack.enter_context(opened(path)) for path in (options.before, options.after)]
-        grids = [Grid.of(dataset) for dataset in datasets]
-        sides = [max(map(abs, cell_metres(grid))) for grid in grids]
-        for dataset in datasets:
-            to_metres(dataset)  # raises ImageError where that cannot be
+        datasets, grids, sides = opened_surfaces((options.before, options.after), stack)
         coarser, finer = (grids[1], grids[0]) if sides[1] > sides[0] * 1.001 else (grids[0], grids[1])
         self.grid = _cut(coarser, finer)
         self.cell = cell_metres(self.grid)
         self.alignment = Alignment("none")
         self._parameters = parameters
         self._warpers = [HeightWarper(dataset, self.grid) for dataset in datasets]
-        flat = replace(self.grid, wkt=flat_crs(self.grid.crs).to_wkt())  # errors have no vertical datum
-        self._errors: List[Optional[HeightWarper]] = [None, None]
-        self._sources: List[Optional[HeightWarper]] = [None, None]
-        self._counts: List[Optional[HeightWarper]] = [None, None]
-        self._least_counts = [0.0, 0.0]
         named = (options.before_confidence, "BEFORE_CONFIDENCE"), (options.after_confidence, "AFTER_CONFIDENCE")
-        for index, (path, option) in enumerate(named):
-            if path:
-                dataset = stack.enter_context(opened(path))
-                bands = confidence_bands(dataset, option)
-                self._errors[index] = HeightWarper(dataset, flat, band=bands.error)
-                if bands.source:
-                    self._sources[index] = HeightWarper(dataset, flat, band=bands.source)
-                if bands.maps:
-                    self._counts[index] = HeightWarper(dataset, flat, band=bands.maps)
+        read = [opened_confidence(path, option, self.grid, stack) for path, option in named]
+        self._errors, self._sources, self._counts = ([getattr(each, name) for each in read] for name in _BANDS)
         self._least_counts = [parameters.usual_maps * self._usual(each) for each in self._counts]
 
     @property

@@ -10,7 +10,7 @@ from typing import Dict, List, Optional, Sequence
 import numpy as np
 
 from ..change.parameters import CHANGE
-from ..change.surfaces import Cells
+from ..change.surfaces import Cells, opened_confidence, opened_surfaces
 from ..change.volumes import Shapes
 from ..contracts.arrays import FloatImage, Mask, Window
 from ..contracts.errors import OverlapError
@@ -18,11 +18,7 @@ from ..evaluation.comparison import gradient, sample_windows
 from ..evaluation.coregistration import Alignment
 from ..evaluation.grids import Grid, HeightWarper, bounds_on, cell_metres, overlap
 from ..evaluation.parameters import EVALUATION
-from ..geometry.frames import flat_crs
 from ..geometry.vertical import TAG
-from ..imagery.confidence import confidence_bands
-from ..imagery.heights import to_metres
-from ..imagery.raster import opened
 from .parameters import SERIES
 from .times import DatedDsm
 
@@ -48,11 +44,7 @@ class Stack:
 
     def __init__(self, series: Sequence[DatedDsm], stack: ExitStack) -> None:
         """Raises ImageError (no CRS, rotated, other units than metres, no vertical transformation), OverlapError."""
-        datasets = [stack.enter_context(opened(each.path)) for each in series]
-        grids = [Grid.of(dataset) for dataset in datasets]
-        sides = [max(map(abs, cell_metres(grid))) for grid in grids]
-        for dataset in datasets:
-            to_metres(dataset)  # raises ImageError where that cannot be
+        datasets, grids, sides = opened_surfaces([each.path for each in series], stack)
         chosen = next(index for index, side in enumerate(sides) if side * 1.001 >= max(sides))
         self.grid = _common(grids[chosen], grids)
         for grid in grids:
@@ -66,16 +58,7 @@ class Stack:
         self.moving: Dict[Window, Mask] = {}
         """The cells of samples that were seen to change."""
         self._warpers = [HeightWarper(dataset, self.grid) for dataset in datasets]
-        self._errors: List[Optional[HeightWarper]] = [None] * len(series)
-        self._sources: List[Optional[HeightWarper]] = [None] * len(series)
-        flat = replace(self.grid, wkt=flat_crs(self.grid.crs).to_wkt())  # errors have no vertical datum
-        for index, each in enumerate(series):
-            if each.confidence:
-                dataset = stack.enter_context(opened(each.confidence))
-                bands = confidence_bands(dataset, "CONFIDENCES")
-                self._errors[index] = HeightWarper(dataset, flat, band=bands.error)
-                if bands.source:
-                    self._sources[index] = HeightWarper(dataset, flat, band=bands.source)
+        self._confidences = [opened_confidence(each.confidence, "CONFIDENCES", self.grid, stack) for each in series]
 
     def __len__(self) -> int:
         return len(self._warpers)
@@ -102,12 +85,12 @@ class Stack:
         cells, move = self.grid.window(window), self.alignments[index]
         heights = self._warpers[index].read(cells, move)
         stated = np.ones(heights.shape, np.float32)
-        errors, source, flat = self._errors[index], self._sources[index], replace(move, dz=0.0)
-        if errors is not None:
-            stated = errors.read(cells, flat)
+        confidence, flat = self._confidences[index], replace(move, dz=0.0)
+        if confidence.error is not None:
+            stated = confidence.error.read(cells, flat)
             heights = np.where(np.isfinite(stated), heights, np.float32(np.nan))
-        if source is not None:
-            measured = source.read(cells, flat) < CHANGE.detection.filled
+        if confidence.source is not None:
+            measured = confidence.source.read(cells, flat) < CHANGE.detection.filled
             heights = np.where(measured, heights, np.float32(np.nan))
         return [heights, stated]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Dict
 
 from ..contracts.options import SeriesOptions
+from ..contracts.products import paths_of
 from ..names import dates_title
 from ..reports.styles import write_style
 from ..runtime.parallel import run_whole
@@ -27,11 +28,9 @@ def _followed(options: SeriesOptions, progress: Progress) -> Dict[str, Any]:
     found = find_series(options, Part(progress, 0.0, 0.92))
     for text in found.warnings:
         progress.warn(text)
-    for kind, path in (("stack", options.output), ("changed", options.changed), ("volumes", options.volumes)):
-        if path:
-            write_style(kind, path)
-    if options.trend:
-        write_style("trend", options.trend, (-found.shown_m_a, found.shown_m_a))
+    for product, path in paths_of("series", options):
+        if product.style:
+            write_style(product.style, path, (-found.shown_m_a, found.shown_m_a) if product.style == "trend" else None)
     made = write_layers(options.layers, options.output, found.series) if options.layers else []
     if options.report:
         progress.step(0.95, "Report")
