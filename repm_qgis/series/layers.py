@@ -5,11 +5,11 @@ QGIS's temporal controller takes periods of layers; those of a raster's bands it
 
 from __future__ import annotations
 
+import html
 import os
 import re
 from pathlib import Path
 from typing import List, Sequence
-from xml.sax.saxutils import escape
 
 from osgeo import gdal
 
@@ -52,7 +52,7 @@ def _one_band(stack: str, target: str, band: int, folder: str) -> None:
         place, relative = os.path.relpath(os.path.abspath(stack), os.path.abspath(folder)).replace(os.sep, "/"), 1
     except ValueError:  # on another drive of Windows
         place, relative = os.path.abspath(stack), 0
-    named = f'<SourceFilename relativeToVRT="{relative}">{escape(place)}</SourceFilename>'
+    named = f'<SourceFilename relativeToVRT="{relative}">{html.escape(place)}</SourceFilename>'
     text = Path(target).read_text(encoding="utf-8")
     text = re.sub(r"<SourceFilename.*?</SourceFilename>", lambda _: named, text, flags=re.DOTALL)
     Path(target).write_text(text, encoding="utf-8")
