@@ -794,6 +794,13 @@
     </message>
 </context>
 <context>
+    <name>MapModel</name>
+    <message>
+        <source>Make map layers of a DSM (model)</source>
+        <translation>Kartenlayer aus einem DOM erzeugen (Modell)</translation>
+    </message>
+</context>
+<context>
     <name>Mosaic</name>
     <message>
         <source>Make a mosaic of DSMs</source>
@@ -2444,7 +2451,7 @@
     </message>
 </context>
 <context>
-    <name>ShippedModel</name>
+    <name>StagesModel</name>
     <message>
         <source>Make a DSM stage by stage (model)</source>
         <translation>DOM Stufe für Stufe erzeugen (Modell)</translation>

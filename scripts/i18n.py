@@ -276,12 +276,17 @@ def _read_in_templates() -> list[str]:
             parts = [part for piece in re.split("@[a-z]+@", html.unescape(label)) for part in (None, piece)][1:]
             found += [template(parts)]
     found += [text for style in STYLES for text in (*style.classes, style.title)]
-    for path in sorted((ROOT / "resources" / "models").glob("*.model3")):
-        read = re.findall(
-            r'name="(?:ALG_DESC|SHORT_DESCRIPTION|component_description)" value="([^"]*)"', path.read_text("utf-8")
-        )
-        found += map(html.unescape, read)
+    found += _read_in_models()
     return [text for text in found if re.search("[A-Za-z]{2}", text)]
+
+
+def _read_in_models() -> list[str]:
+    """What the models say, without what they take from our dialogs."""
+    keys = "ALG_DESC|SHORT_DESCRIPTION|component_description|description"
+    texts = [path.read_text("utf-8") for path in sorted((ROOT / "resources" / "models").glob("*.model3"))]
+    read = [html.unescape(found) for text in texts for found in re.findall(f'name="(?:{keys})" value="([^"]*)"', text)]
+    ours = source()[MODULES["parameters.py"]]
+    return [text for text in read if text not in ours]
 
 
 def stays() -> dict[str, str]:

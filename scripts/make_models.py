@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """Write resources/models/*.model3 through QGIS's own model API ('make models'), so that they always load again.
 
-The model is the recipe of repm:pipeline, stage by stage, for the graphical modeler: to look at, take apart and change.
+For the graphical modeler, to look at, take apart and change: the recipe of repm:pipeline stage by stage, and the layers
+of a map that QGIS's own algorithms make of a DSM.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from qgis.core import (
     QgsProcessingModelChildParameterSource,
     QgsProcessingModelOutput,
     QgsProcessingModelParameter,
+    QgsProcessingParameterNumber,
+    QgsProcessingParameterRasterLayer,
 )
 from qgis.PyQt.QtCore import QPointF
 
@@ -44,24 +47,14 @@ def _child(
             child.addParameterSources(definition.name(), [Source.fromStaticValue(definition.defaultValue())])
     if scene:
         child.addParameterSources("SCENE", [Source.fromChildOutput(*scene.split("."))])
-    shown = {}
-    for row, (name, (key, label)) in enumerate(outputs.items()):
-        output = QgsProcessingModelOutput(key, label)
-        output.setChildId(stage)
-        output.setChildOutputName(name)
-        output.setPosition(QPointF(640, 60 + 110 * place + 40 * row))
-        shown[key] = output
-    child.setModelOutputs(shown)
+    _show(child, place, outputs)
     model.addChildAlgorithm(child)
 
 
 def stages_model() -> QgsProcessingModelAlgorithm:
     """epmfit, errormap, refine, reconstruct, dsmfuse: the same DSM as repm:pipeline's."""
     model = QgsProcessingModelAlgorithm("dsm_by_stages", "REPM")
-    for place, parameter in enumerate(_inputs()):
-        component = QgsProcessingModelParameter(parameter.name())
-        component.setPosition(QPointF(100, 60 + 90 * place))
-        model.addModelParameter(parameter, component)
+    _add_inputs(model, _inputs())
     _child(
         model,
         0,
@@ -103,24 +96,121 @@ def stages_model() -> QgsProcessingModelAlgorithm:
         "reconstruct.OUTPUT_SCENE",
         {"OUTPUT": ("DSM", "DSM")},
     )
-    model.setParameterOrder([parameter.name() for parameter in _inputs()])
-    model.setHelpContent(
-        {
-            "ALG_DESC": "The stages of repm:pipeline one after the other, as a model to take apart. To change a stage, "
-            "or to add one of your own, click with the right mouse button on it in the toolbox and choose 'Copy to my "
-            "models and edit…': QGIS can edit only models of your own.",
-            "ALG_CREATOR": "The REPM plugin's maintainers",
-            "ALG_VERSION": "0.1.0",
-            "SHORT_DESCRIPTION": "Make a DSM stage by stage (model)",
-        }
+    _describe(
+        model,
+        "Make a DSM stage by stage (model)",
+        "The stages of repm:pipeline one after the other, as a model to take apart. To change a stage, "
+        "or to add one of your own, click with the right mouse button on it in the toolbox and choose 'Copy to my "
+        "models and edit…': QGIS can edit only models of your own.",
     )
     return model
+
+
+def map_model() -> QgsProcessingModelAlgorithm:
+    """Contours, slope, hillshade and ruggedness of a DSM, by GDAL's algorithms, which read a raster line by line."""
+    model = QgsProcessingModelAlgorithm("dsm_to_map", "REPM")
+    number, double = QgsProcessingParameterNumber, QgsProcessingParameterNumber.Type.Double
+    dsm = QgsProcessingParameterRasterLayer("DSM", "DSM")
+    interval = number("INTERVAL", "Interval of the contours, m", double, 5.0, False, 0.01)
+    shortest = number("SHORTEST", "Shortest contour, m", double, 50.0, False, 0.0)
+    _add_inputs(model, [dsm, interval, shortest])
+    from_dsm, packed = Source.fromModelParameter("DSM"), Source.fromStaticValue("COMPRESS=DEFLATE|TILED=YES")
+    lines = {
+        "INPUT": from_dsm,
+        "INTERVAL": Source.fromModelParameter("INTERVAL"),
+        "FIELD_NAME": Source.fromStaticValue("height"),
+    }
+    _step(model, 0, "lines", "gdal:contour", "Draw all contours", lines)
+    long_enough = {
+        "INPUT": Source.fromChildOutput("lines", "OUTPUT"),
+        "EXPRESSION": Source.fromExpression("'length($geometry) >= ' || @SHORTEST"),
+    }
+    contours = {"OUTPUT": ("CONTOURS", "Contours")}
+    _step(model, 1, "contours", "native:extractbyexpression", "Keep the long contours", long_enough, contours)
+    raster = {"INPUT": from_dsm, "COMPUTE_EDGES": Source.fromStaticValue(True), "OPTIONS": packed}
+    many = {**raster, "MULTIDIRECTIONAL": Source.fromStaticValue(True)}
+    slope, shading, rough = (
+        {"OUTPUT": (name, title)}
+        for name, title in (("SLOPE", "Slope"), ("HILLSHADE", "Hillshade"), ("RUGGEDNESS", "Ruggedness"))
+    )
+    _step(model, 2, "slope", "gdal:slope", "Slope in degrees", raster, slope)
+    _step(model, 3, "hillshade", "gdal:hillshade", "Hillshade from several directions", many, shading)
+    ruggedness = "gdal:triterrainruggednessindex"
+    _step(model, 4, "ruggedness", ruggedness, "Terrain ruggedness index (TRI)", raster, rough)
+    _describe(
+        model,
+        "Make map layers of a DSM (model)",
+        "The layers that a map needs, made of a DSM or DTM by QGIS's own algorithms: contours, the slope in degrees, "
+        "a hillshade with light from several directions, and the terrain ruggedness index, which is high at edges and "
+        "walls. The heights must be in metres, and the CRS a projected one: degrees would make the slopes wrong. "
+        "Contours that are shorter than the shortest are left out: they are single trees, cars and errors of a few "
+        "cells. Each output can be skipped. To change a step, click with the right mouse button on the model in the "
+        "toolbox and choose 'Copy to my models and edit…'. A copy's layers have QGIS's usual styles.",
+    )
+    return model
+
+
+def _step(
+    model: QgsProcessingModelAlgorithm,
+    place: int,
+    name: str,
+    algorithm: str,
+    title: str,
+    sources: dict,
+    outputs: dict | None = None,
+) -> None:
+    """Add an algorithm of QGIS's with the sources of its parameters, and its defaults for all others."""
+    child = QgsProcessingModelChildAlgorithm(algorithm)
+    child.setChildId(name)
+    child.setDescription(title)
+    child.setPosition(QPointF(360, 80 + 110 * place))
+    for definition in QgsApplication.processingRegistry().algorithmById(algorithm).parameterDefinitions():
+        if definition.name() in sources:
+            child.addParameterSources(definition.name(), [sources[definition.name()]])
+        elif definition.defaultValue() is not None and not definition.isDestination():
+            child.addParameterSources(definition.name(), [Source.fromStaticValue(definition.defaultValue())])
+    _show(child, place, outputs or {})
+    model.addChildAlgorithm(child)
+
+
+def _show(child: QgsProcessingModelChildAlgorithm, place: int, outputs: dict) -> None:
+    """Make outputs of a step the model's own, beside the step."""
+    shown = {}
+    for row, (name, (key, label)) in enumerate(outputs.items()):
+        output = QgsProcessingModelOutput(key, label)
+        output.setChildId(child.childId())
+        output.setChildOutputName(name)
+        output.setPosition(QPointF(640, 60 + 110 * place + 40 * row))
+        shown[key] = output
+    child.setModelOutputs(shown)
+
+
+def _add_inputs(model: QgsProcessingModelAlgorithm, parameters: list) -> None:
+    for place, parameter in enumerate(parameters):
+        component = QgsProcessingModelParameter(parameter.name())
+        component.setPosition(QPointF(100, 60 + 90 * place))
+        model.addModelParameter(parameter, component)
+    model.setParameterOrder([parameter.name() for parameter in parameters])
+
+
+def _describe(model: QgsProcessingModelAlgorithm, title: str, text: str) -> None:
+    model.setHelpContent(
+        {
+            "ALG_DESC": text,
+            "ALG_CREATOR": "The REPM plugin's maintainers",
+            "ALG_VERSION": "0.1.0",
+            "SHORT_DESCRIPTION": title,
+        }
+    )
 
 
 def main() -> int:
     sys.path.insert(0, "/usr/share/qgis/python/plugins")
     application = QgsApplication([], False)
     application.initQgis()
+    from processing.core.Processing import Processing
+
+    Processing.initialize()  # GDAL's algorithms
     # The children's definitions are needed to write the model: load the provider as QGIS does.
     import importlib.util
 
@@ -133,9 +223,10 @@ def main() -> int:
     spec.loader.exec_module(package)
     plugin = package.classFactory(None)
     plugin.initProcessing()
-    model = stages_model()
-    written = model.toFile(os.path.join(FOLDER, "repm_stages.model3"))
-    problems = model.validate()[1]
+    written, problems = True, []
+    for name, model in (("repm_stages", stages_model()), ("repm_map", map_model())):
+        written &= model.toFile(os.path.join(FOLDER, f"{name}.model3"))
+        problems += model.validate()[1]
     del model
     plugin.unload()
     application.exitQgis()

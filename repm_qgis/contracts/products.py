@@ -64,6 +64,7 @@ STYLES = (
     Style("error", "viridis", off=True, template="ramp", unit=" px"),
     Style("dsm_error", "diverging", template="ramp", unit=" m"),
     Style("volumes"),
+    Style("contours"),
     Style("significant", "diverging", template="ramp", unit=" m"),
     Style(
         "significant_level",
@@ -126,6 +127,9 @@ STYLES = (
     Style("image", plain=True),
     Style("objects", template="palette", classes=("Ground", "Object"), off=True),
     Style("object_heights", "viridis", off=True, template="ramp", unit=" m"),
+    Style("slope", "viridis", off=True, template="ramp", unit="°"),
+    Style("ruggedness", "viridis", off=True, template="ramp", unit=" m"),
+    Style("shading", "grey", off=True, template="ortho"),
     Style("hillshade"),
     Style("dsm", "elevation", template="ramp", unit=" m"),
 )

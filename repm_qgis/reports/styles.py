@@ -28,6 +28,9 @@ which; this module fills in what depends on the data (the range, and the colours
 | changed, changed_last | the first and the last date of change, each with its colour and day | all |
 | stack | elevation colours of the first date of a series | 2..98 % of its heights |
 | dated | the heights of one date of a series, with its period | given |
+| contours | lines, labelled with their ``height`` | none |
+| slope, ruggedness | degrees and m of a DSM's relief, from dark (none) to bright | 0..98 % |
+| shading | the grey hillshade of a DSM | 2..98 % |
 | volumes | polygons by gain and loss, labelled with their volume in m3 | none |
 | gcps | points by ``height_error``, labelled, arrows of their errors | fixed classes in m |
 """
@@ -55,7 +58,7 @@ from .pictures import CLASSES, RAMPS, colour_limits, percentile_range, preview, 
 from .templates import RESOURCES
 
 _SAMPLE_PX = 1200
-_FROM_ZERO = ("error", "confidence", "object_heights", "significant_level", "trend_error")
+_FROM_ZERO = ("error", "confidence", "object_heights", "significant_level", "trend_error", "slope", "ruggedness")
 _AROUND_ZERO = ("dsm_error", "differences", "differences_before", "change", "significant", "trend")
 
 

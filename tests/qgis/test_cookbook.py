@@ -83,8 +83,8 @@ def heights(path):
     return values
 
 
-def test_the_book_has_twenty_tasks():
-    assert sorted(TASKS) == list(range(1, 21))
+def test_the_book_has_twenty_one_tasks():
+    assert sorted(TASKS) == list(range(1, 22))
     assert all(commands(text) and "**Look at**" in text for text in TASKS.values())
 
 
@@ -282,6 +282,19 @@ def test_20_a_quarry_over_three_dates(cook):
     assert np.median(first[first > 0]) == 2 and np.median(last[last > 0]) == 3
     assert len(list((folder / "dates").glob("*.vrt"))) == 3
     assert "Dates and their errors" in (folder / "series.html").read_text(encoding="utf-8")
+
+
+def test_21_layers_of_a_map(cook):
+    folder, _ = cook(21)
+    source = ogr.Open(str(folder / "contours.gpkg"))
+    lines = list(source.GetLayer(0))
+    assert lines and all(each.GetField("height") % 1 == 0 for each in lines)
+    assert min(each.GetGeometryRef().Length() for each in lines) >= 30
+    slope, ground = heights(folder / "slope.tif"), heights(folder / "dtm.tif")
+    cell = gdal.Open(str(folder / "dtm.tif")).GetGeoTransform()[1]
+    down, right = np.gradient(ground, cell)
+    assert np.nanmedian(np.abs(slope - np.degrees(np.arctan(np.hypot(down, right))))) < 1.0
+    assert all((folder / f"{name}.tif").exists() for name in ("hillshade", "ruggedness"))
 
 
 def test_the_whole_book_is_quick():

@@ -83,7 +83,7 @@ def algorithm(name):
 
 def test_every_algorithm_and_every_model_is_there(provider):
     names = {entry.name() for entry in provider.algorithms()}
-    assert names == set(PARAMETERS) | {"dsm_by_stages"}
+    assert names == set(PARAMETERS) | {"dsm_by_stages", "dsm_to_map"}
     assert provider.id() == "repm"
     assert provider.versionInfo() in provider.longName()
 
@@ -137,7 +137,7 @@ def test_the_toolbox_shows_the_order_of_the_work(provider):
         "pipeline",
         "dsm_by_stages",
         *("comparedsm", "checkgcps", "viewer", "change", "series"),
-        *("editdsm", "dtm", "mosaic"),
+        *("editdsm", "dtm", "dsm_to_map", "mosaic"),
         "epmfit",
         "errormap",
         "refine",
