@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 
+from .runtime.standard_input import VARIABLE, Beginning, watched
 
-def _cancelled_at_the_start(number: int, frame: object) -> None:
-    """Imports take a moment, and a cancel may come before the engine can clean up."""
-    os.write(1, b'{"type": "error", "kind": "Cancelled", "text": "Cancelled by the user."}\n')
-    os._exit(1)
+if __name__ == "__main__":  # imports take a moment, and a cancel may come before the engine can clean up
+    if os.environ.get(VARIABLE):
+        watched(sys.argv[2:] == ["-"])
+    import signal
 
-
-if __name__ == "__main__":
+    _beginning = Beginning()
     for _number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(_number, _cancelled_at_the_start)
+        signal.signal(_number, lambda number, frame: _beginning.cancelled())
     from .engine_process import main
 
     sys.exit(main(sys.argv[1:]))

@@ -22,7 +22,6 @@ import sys
 import threading
 import time
 import traceback
-from contextlib import suppress
 from typing import Any, Callable, Dict, TextIO, Tuple
 
 from .contracts.errors import INSTALL_REMEDY, Cancelled, MissingPackageError, OptionError, RepmError
@@ -30,36 +29,22 @@ from .runtime.parallel import end_workers
 from .runtime.process_limits import bound_cache, keep_freed_memory, one_thread_for_sums
 from .runtime.progress import JsonLines
 from .runtime.shortage import reserve_buffers, shortage_as_error
+from .runtime.standard_input import MAX_JOB_BYTES, VARIABLE, Beginning, first_line, watched
 from .runtime.translation import reader, written_in
 from .runtime.windows import end_children_with_us
 from .runtime.workspace import name_nothing_more, remove_own_temporaries
 
-_MAX_JOB_BYTES = 64 << 20
 _GRACE_S = 1.2  # from SIGTERM to SIGKILL where nobody else does it
 _CANCELLING = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGBREAK") if hasattr(signal, name)]
-_CANCEL = b"cancel\n"  # a line on standard input
 Asked = Callable[[], Tuple[str, Dict[str, Any]]]
 """A function that gives the stage's name and its job; raises OptionError."""
-
-
-def _first_line() -> Tuple[bytes, bytes]:
-    """The first line of standard input, and what came with it: it is not read to its end, because the end means that
-    the parent is gone."""
-    read, piece = bytearray(), b""
-    while b"\n" not in piece and len(read) <= _MAX_JOB_BYTES:
-        piece = os.read(0, 65536)
-        if not piece:
-            break
-        read += piece
-    line, _, rest = bytes(read).partition(b"\n")
-    return line, rest
 
 
 def read_job(path: str, line: bytes = b"") -> Dict[str, Any]:
     """The options in a file, or in a line where ``path`` is "-"; raises OptionError."""
     try:
-        if (len(line) if path == "-" else os.path.getsize(path)) > _MAX_JOB_BYTES:
-            raise OptionError("job", path, f"must have less than {_MAX_JOB_BYTES >> 20} MiB")
+        if (len(line) if path == "-" else os.path.getsize(path)) > MAX_JOB_BYTES:
+            raise OptionError("job", path, f"must have less than {MAX_JOB_BYTES >> 20} MiB")
         if path == "-":
             job = json.loads(line)
         else:
@@ -148,45 +133,24 @@ class Cancelling:
         os._exit(1)
 
 
-def _own_input() -> int:
-    """Standard input under another number, and nothing in its place.
+class _Parent(Beginning):
+    """Cancel on the line ``cancel`` of standard input; cancel, and soon after end the process group, once it closes."""
 
-    Windows allows one request at a time on such a pipe: workers, which inherit standard input and query its type when
-    they start, would wait until our read ends.
-    """
-    pipe, nothing = os.dup(0), os.open(os.devnull, os.O_RDONLY)
-    os.dup2(nothing, 0)
-    os.close(nothing)
-    return pipe
+    def __init__(self, cancelling: Cancelling) -> None:
+        self._cancelling = cancelling
 
+    def cancelled(self) -> None:
+        self._cancelling.ask()
 
-def _watch_parent(cancelling: Cancelling, said: bytes) -> None:
-    """Cancel on the line ``cancel`` of standard input; cancel, and soon after end the process group, once it closes.
-
-    ``said`` is the part that was read already.
-    """
-    pipe = _own_input() if os.name == "nt" else 0
-
-    def watch(said: bytes) -> None:
-        with suppress(OSError):
-            while True:
-                if _CANCEL in said:
-                    said = b""
-                    cancelling.ask()
-                piece = os.read(pipe, 4096)
-                if not piece:
-                    break
-                said = said[-len(_CANCEL) :] + piece
+    def closed(self) -> None:
         if hasattr(os, "killpg") and os.getpgrp() == os.getpid():  # ours alone: the parent made it for us
             os.killpg(0, signal.SIGTERM)
             time.sleep(_GRACE_S)
             os.killpg(0, signal.SIGKILL)
         elif os.name == "nt":
-            cancelling.ask()
+            self.cancelled()
             time.sleep(_GRACE_S + 0.3)  # usually the cancel has ended it before
         os._exit(1)
-
-    threading.Thread(target=watch, args=(said,), name="watch-parent", daemon=True).start()
 
 
 def _asked_for(arguments: list[str], line: bytes) -> Tuple[str, Dict[str, Any]]:
@@ -210,9 +174,13 @@ def _run(asked: Asked, lines: JsonLines) -> Dict[str, Any]:
 
 def main(arguments: list[str]) -> int:
     def begin(cancelling: Cancelling) -> Asked:
-        line, rest = _first_line() if arguments[1:] == ["-"] else (b"", b"")
-        if os.environ.get("REPM_ENGINE_WATCH_STDIN"):
-            _watch_parent(cancelling, rest)
+        job_first, line = arguments[1:] == ["-"], b""
+        if os.environ.get(VARIABLE):
+            parent = watched(job_first)
+            parent.told = _Parent(cancelling)
+            line = parent.line() if job_first else b""
+        elif job_first:
+            line, _ = first_line()
         return lambda: _asked_for(arguments, line)
 
     return serve(JsonLines(own_output()), begin)

@@ -137,3 +137,32 @@ def test_a_cancel_before_the_job_is_read_counts(tmp_path):
         said = stream.read()
     assert running.wait(timeout=60) == 1 and json.loads(said.splitlines()[-1]) == CANCELLED
     running.stdin.close()
+
+
+@pytest.mark.parametrize("word", (b"cancel\n", b""))
+def test_a_cancel_is_heard_while_the_engine_imports(tmp_path, word):
+    """It imports for seconds on a busy Windows."""
+    (tmp_path / "tempfile.py").write_text(
+        "import pathlib, time; pathlib.Path(__file__).with_name('begun').touch(); time.sleep(60)"
+    )
+    running = subprocess.Popen(
+        [sys.executable, "-m", "repm_qgis", "sampledata", "-"],
+        env={**os.environ, "REPM_ENGINE_WATCH_STDIN": "1", "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])},
+        cwd=ROOT,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    end = time.monotonic() + 60
+    while not (tmp_path / "begun").exists():
+        assert running.poll() is None and time.monotonic() < end
+        time.sleep(0.05)
+    start = time.monotonic()
+    running.stdin.write(b"{}\n" + word)
+    running.stdin.flush()
+    if not word:
+        running.stdin.close()  # whoever started it is gone
+    with running.stdout as stream:
+        said = stream.read()
+    assert running.wait(timeout=60) == 1 and time.monotonic() - start < 1.5
+    assert json.loads(said.splitlines()[-1]) == CANCELLED
+    running.stdin.close()
