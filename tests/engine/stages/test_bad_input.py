@@ -184,7 +184,7 @@ def test_rpcs_that_cannot_be(bench, key, value, words):
 
 def test_an_unwritable_workspace(bench, tmp_path):
     (tmp_path / "file").write_text("")
-    for workspace in (str(tmp_path / "file" / "ws"), "/proc/nowhere/ws"):
+    for workspace in (str(tmp_path / "file" / "ws"), "Q:\\nowhere\\ws" if os.name == "nt" else "/proc/nowhere/ws"):
         text = bench.fails(WorkspaceError, workspace=workspace)
         assert workspace in text and "choose another" in text
 

@@ -10,6 +10,7 @@ import numpy as np
 import pyproj
 import pytest
 from osgeo import gdal, ogr, osr
+from pyproj.transformer import TransformerGroup
 
 from repm_qgis.contracts.errors import EmptyResultError, ImageError, InputTableError, OptionError, SceneError
 from repm_qgis.evaluation.gcp_accuracy import ErrorSummary, wrong_control
@@ -230,6 +231,8 @@ def test_heights_between_cells_are_bilinear(urban, points, tmp_path, told):
 
 def test_vertical_datums_of_dsm_and_points_are_brought_together(urban, points, tmp_path, told):
     """Both above EGM96, and each alone, against heights that pyproj converted."""
+    if not TransformerGroup("EPSG:4326+5773", "EPSG:4979").best_available:
+        pytest.skip("PROJ's EGM96 grid is not installed")
     zone = urban.crs.split(":")[1]
     undulation = pyproj.Transformer.from_crs("EPSG:4326+5773", "EPSG:4979", always_xy=True).transform(
         points[0, 0], points[0, 1], 0.0
