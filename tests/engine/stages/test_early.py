@@ -122,6 +122,6 @@ def test_sample_images_that_do_not_fit_into_memory(told, tmp_path, monkeypatch, 
 
 def test_it_takes_milliseconds(job):
     options = PipelineOptions.from_json(job(resolution=0.5))
-    start = time.monotonic()
+    start = time.process_time()  # its own: other processes may have the processor for longer
     require_sensible(options)
-    assert time.monotonic() - start < 0.5
+    assert time.process_time() - start < 0.5
