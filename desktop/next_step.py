@@ -19,8 +19,8 @@ from qgis.core import (
     QgsRasterLayer,
     QgsVectorLayer,
 )
-from qgis.PyQt.QtCore import QCoreApplication
-from qgis.PyQt.QtWidgets import QPushButton
+from qgis.PyQt.QtCore import QCoreApplication, QSizeF, Qt
+from qgis.PyQt.QtWidgets import QPushButton, QTextBrowser
 
 from ..processing_provider import last_scene
 from ..processing_provider.kept import is_lasting
@@ -75,13 +75,13 @@ class NextSteps:
 
     def _after_pipeline(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
         scene, dsm = results.get("SCENE"), results.get("OUTPUT")
-        return _tr("The DSM is made. Is it in the right place?"), self._measuring(scene, dsm), []
+        return _tr("Is the DSM in the right place?"), self._measuring(scene, dsm), []
 
     def _after_dsmfuse(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
         scene, dsm = next(iter(named["SCENE"]), None), results.get("OUTPUT")
-        text = _tr("The DSM is made. Is it in the right place?")
+        text = _tr("Is the DSM in the right place?")
         if _is_registered(scene):
-            text = _tr("The DSM of the registered scene is made. Compare it with other heights.")
+            text = _tr("Is the DSM in the right place now?")
         return text, self._measuring(scene, dsm), []
 
     def _after_comparedsm(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
@@ -89,7 +89,7 @@ class NextSteps:
         scene = last_scene.of_surface(dsm)
         if not scene or _is_registered(scene):
             edit = self._editing(dsm) if scene else []
-            return _tr("The registered DSM is compared. Edit it where it is wrong.") if edit else "", edit, []
+            return _tr("Is the DSM wrong somewhere? Edit it.") if edit else "", edit, []
         text = _tr("Is the DSM off by too much? Register its scene.")
         return text, [(_tr("Register to this reference…"), lambda: self.register(scene))], []
 
@@ -181,7 +181,22 @@ def push_message(bar: Any, text: str, buttons: list[Button]) -> Any:
         button = QPushButton(title, message)
         button.clicked.connect(lambda *_, run=run: run())
         message.layout().addWidget(button)
-    return bar.pushWidget(message, Qgis.MessageLevel.Info, 0)
+    shown = bar.pushWidget(message, Qgis.MessageLevel.Info, 0)
+    for browser in message.findChildren(QTextBrowser):
+        _show_whole(browser)
+    return shown
+
+
+def _show_whole(browser: QTextBrowser) -> None:
+    """Give a text beside buttons the lines that it needs: QGIS has place for one, and a scroll bar for the second."""
+
+    def grow(size: QSizeF) -> None:
+        browser.setMinimumHeight(math.ceil(size.height()) + 2 * browser.frameWidth())
+
+    browser.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+    layout = browser.document().documentLayout()
+    layout.documentSizeChanged.connect(grow)
+    grow(layout.documentSize())
 
 
 def _fusion_inputs() -> list[str]:

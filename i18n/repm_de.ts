@@ -851,12 +851,8 @@
         <translation>Ein projiziertes KBS. Leer: das des ersten DOM.</translation>
     </message>
     <message>
-        <source>Confidence rasters</source>
-        <translation>Konfidenzraster</translation>
-    </message>
-    <message>
-        <source>One raster for each DSM, in the order of the DSMs: this plugin's confidence raster, or one band with the expected error in metres. The better of two heights counts for more. Empty: all heights count equally.</source>
-        <translation>Ein Raster für jedes DOM, in der Reihenfolge der DOM: das Konfidenzraster dieser Erweiterung oder ein Kanal mit dem erwarteten Fehler in Metern. Die bessere von zwei Höhen zählt mehr. Leer: Alle Höhen zählen gleich.</translation>
+        <source>The better of two heights counts for more. Empty: all heights count equally.</source>
+        <translation>Die bessere von zwei Höhen zählt mehr. Leer: Alle Höhen zählen gleich.</translation>
     </message>
     <message>
         <source>Cells with a height (%)</source>
@@ -1264,16 +1260,16 @@
         <translation>Die Bilder sind geprüft.</translation>
     </message>
     <message>
-        <source>The DSM is made. Is it in the right place?</source>
-        <translation>Das DOM ist fertig. Liegt es am richtigen Ort?</translation>
+        <source>Is the DSM in the right place?</source>
+        <translation>Stimmt die Lage des DOM?</translation>
     </message>
     <message>
-        <source>The DSM of the registered scene is made. Compare it with other heights.</source>
-        <translation>Das DOM der eingepassten Szene ist fertig. Es mit anderen Höhen vergleichen.</translation>
+        <source>Is the DSM in the right place now?</source>
+        <translation>Stimmt die Lage jetzt?</translation>
     </message>
     <message>
-        <source>The registered DSM is compared. Edit it where it is wrong.</source>
-        <translation>Das eingepasste DOM ist verglichen. Wo es falsch ist, kann es bearbeitet werden.</translation>
+        <source>Is the DSM wrong somewhere? Edit it.</source>
+        <translation>Ist das DOM irgendwo falsch? Bearbeiten.</translation>
     </message>
     <message>
         <source>Is the DSM off by too much? Register its scene.</source>
@@ -1353,6 +1349,14 @@
     <message>
         <source>One raster for each image, in the order of the images and of the same size in columns and rows: pixels that are neither zero nor nodata (clouds, water) are not used at all, not even for tie points. The image's own mask or alpha band is always used.</source>
         <translation>Ein Raster je Bild, in der Reihenfolge der Bilder und gleich groß in Spalten und Zeilen: Pixel, die weder null noch NoData sind (Wolken, Wasser), werden gar nicht verwendet, auch nicht für Verknüpfungspunkte. Die eigene Maske oder der Alphakanal eines Bildes gilt immer.</translation>
+    </message>
+    <message>
+        <source>One raster for each DSM, in the order of the DSMs: this plugin's confidence raster, or one band with the expected error in metres.</source>
+        <translation>Ein Raster für jedes DOM, in der Reihenfolge der DOM: das Konfidenzraster dieser Erweiterung oder ein Kanal mit dem erwarteten Fehler in Metern.</translation>
+    </message>
+    <message>
+        <source>Confidence rasters</source>
+        <translation>Konfidenzraster</translation>
     </message>
     <message>
         <source>Ground control points</source>
@@ -2414,12 +2418,8 @@
         <translation>Kleinere Änderungen werden nicht umrissen; angegebene Flächen dürfen beliebig klein sein.</translation>
     </message>
     <message>
-        <source>Confidence rasters</source>
-        <translation>Konfidenzraster</translation>
-    </message>
-    <message>
-        <source>One raster for each DSM, in the order of the DSMs: this plugin's confidence raster, or one band with the expected error in metres. Heights that were filled in do not count then, and each height has its own error. Empty: one error for each date, found where nothing changed.</source>
-        <translation>Ein Raster je DOM, in der Reihenfolge der DOM: das Konfidenzraster dieses Plugins, oder ein Kanal mit dem erwarteten Fehler in Metern. Dann zählen gefüllte Höhen nicht, und jede Höhe hat ihren eigenen Fehler. Leer: ein Fehler je Zeitpunkt, bestimmt, wo sich nichts geändert hat.</translation>
+        <source>Heights that were filled in do not count then, and each height has its own error. Empty: one error for each date, found where nothing changed.</source>
+        <translation>Dann zählen gefüllte Höhen nicht, und jede Höhe hat ihren eigenen Fehler. Leer: ein Fehler je Zeitpunkt, bestimmt, wo sich nichts geändert hat.</translation>
     </message>
     <message>
         <source>Layers of the dates</source>

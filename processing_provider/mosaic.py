@@ -70,20 +70,8 @@ class Mosaic(RepmAlgorithm):
                 QgsProcessingParameterCrs("CRS", self.tr("CRS of the mosaic"), optional=True),
                 self.tr("A projected CRS. Empty: the first DSM's."),
             ),
-            parameters.advanced(
-                parameters.helped(
-                    QgsProcessingParameterMultipleLayers(
-                        "CONFIDENCES",
-                        self.tr("Confidence rasters"),
-                        QgsProcessing.SourceType.TypeFile,
-                        optional=True,
-                    ),
-                    self.tr(
-                        "One raster for each DSM, in the order of the DSMs: this plugin's confidence raster, or one "
-                        "band with the expected error in metres. The better of two heights counts for more. "
-                        "Empty: all heights count equally."
-                    ),
-                )
+            parameters.confidences(
+                self.tr("The better of two heights counts for more. Empty: all heights count equally.")
             ),
             parameters.cluster(),
             *(parameters.product(self.ID, name) for name in ("output", "sources", "report")),

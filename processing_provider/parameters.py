@@ -242,6 +242,22 @@ def masks() -> QgsProcessingParameterDefinition:
     )
 
 
+def confidences(text: str) -> QgsProcessingParameterDefinition:
+    """One raster for each DSM; ``text`` says what they change, and what holds without them."""
+    one_each = tr(
+        "One raster for each DSM, in the order of the DSMs: this plugin's confidence raster, or one band with the "
+        "expected error in metres."
+    )
+    return advanced(
+        helped(
+            QgsProcessingParameterMultipleLayers(
+                "CONFIDENCES", tr("Confidence rasters"), QgsProcessing.SourceType.TypeFile, optional=True
+            ),
+            f"{one_each} {text}",
+        )
+    )
+
+
 def gcps(optional: bool = True) -> QgsProcessingParameterDefinition:
     return helped(
         Points("GCPS", tr("Ground control points"), [QgsProcessing.SourceType.TypeVector], optional=optional),

@@ -12,7 +12,6 @@ from qgis.core import (
     QgsProcessingFeedback,
     QgsProcessingOutputMultipleLayers,
     QgsProcessingOutputNumber,
-    QgsProcessingParameterMultipleLayers,
     QgsProcessingParameterString,
     QgsProcessingUtils,
 )
@@ -85,19 +84,10 @@ class Series(RepmAlgorithm):
                 self.tr("Smallest area (m²)"),
                 self.tr("Smaller areas of change are not outlined; areas that you give have any size."),
             ),
-            parameters.advanced(
-                parameters.helped(
-                    QgsProcessingParameterMultipleLayers(
-                        "CONFIDENCES",
-                        self.tr("Confidence rasters"),
-                        QgsProcessing.SourceType.TypeFile,
-                        optional=True,
-                    ),
-                    self.tr(
-                        "One raster for each DSM, in the order of the DSMs: this plugin's confidence raster, or one "
-                        "band with the expected error in metres. Heights that were filled in do not count then, and "
-                        "each height has its own error. Empty: one error for each date, found where nothing changed."
-                    ),
+            parameters.confidences(
+                self.tr(
+                    "Heights that were filled in do not count then, and each height has its own error. "
+                    "Empty: one error for each date, found where nothing changed."
                 )
             ),
             parameters.cluster(),

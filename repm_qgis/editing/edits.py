@@ -13,7 +13,7 @@ from typing import Any, Dict, Optional, Sequence, Tuple
 from osgeo import ogr
 
 from ..contracts.errors import InputTableError
-from ..files.vector import file_and_layer, open_vector, write_layer
+from ..files.vector import file_and_layer, open_layer, write_layer
 
 OPERATIONS = ("remove", "fill", "set", "flatten", "breakline")
 """What an edit does: removes heights, fills from the rim, sets a value, flattens water, keeps a breakline."""
@@ -61,16 +61,13 @@ def read_edits(path: str) -> Edits:
     Raises InputTableError, with the edit's number, for what is none.
     """
     file, name = file_and_layer(path)
-    source = open_vector(file)
-    if source is None or not source.GetLayerCount():
-        raise InputTableError(f"Cannot read the edits '{file}': give a GeoPackage with a layer of edits.")
-    layer = source.GetLayerByName(name) if name else source.GetLayer(0)
+    source, layer = open_layer(file, name)
     if layer is None:
-        raise InputTableError(f"'{file}' has no layer '{name}': choose an existing one.")
+        raise InputTableError(f"Cannot read the edits '{file}': give a GeoPackage with a layer of edits.")
     try:
         found = _read(file, layer)
     finally:
-        layer = source = None  # in this order, or OGR's objects outlive their file
+        del layer, source  # in this order, or OGR's objects outlive their file
     return found
 
 

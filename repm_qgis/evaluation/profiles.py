@@ -13,7 +13,7 @@ from osgeo import ogr, osr
 from ..contracts.arrays import Bounds, FloatArray, FloatImage
 from ..contracts.checks import as_text
 from ..contracts.errors import InputTableError
-from ..files.vector import file_and_layer, open_vector
+from ..files.vector import file_and_layer, open_layer
 from ..geometry.frames import flat_crs
 from .coregistration import Alignment
 from .grids import Grid, HeightWarper, metres_per_unit
@@ -55,9 +55,7 @@ def read_lines(path: str, reference: Grid) -> List[ProfileLine]:
 
     A line is named by its field ``name``, or else by its number. Raises InputTableError where there is no line.
     """
-    file, name = file_and_layer(path)
-    source = open_vector(file)
-    layer = None if source is None else source.GetLayerByName(name) if name else source.GetLayer(0)
+    source, layer = open_layer(*file_and_layer(path))
     if layer is None:
         raise InputTableError(f"Cannot open the profile lines of '{path}': give a line layer.")
     lines = []

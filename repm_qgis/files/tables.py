@@ -19,7 +19,7 @@ from ..contracts.checks import as_text
 from ..contracts.errors import InputTableError
 from ..geometry.frames import on_earth
 from .untrusted import refusal_of
-from .vector import open_vector
+from .vector import open_layer
 
 _INDEXED = (".gpkg", ".shp", ".fgb", ".sqlite", ".gdb")  # read row by row, and know how many there are
 _DELIMITERS = ",;\t"
@@ -116,18 +116,16 @@ class LayerTable:
     def __init__(self, path: str, name: str = "") -> None:
         """The layer of a name, or the first one; raises InputTableError where there is none that can be read."""
         self._path = path
-        self._source: Optional[gdal.Dataset] = open_vector(path)
-        if self._source is None or self._source.GetLayerCount() < 1:
+        self._source, layer = open_layer(path, name)
+        if layer is None:
             raise InputTableError(f"Cannot open the points of '{path}': give a CSV file or a point layer.")
-        self._layer = self._source.GetLayerByName(name) if name else self._source.GetLayer(0)
-        if self._layer is None:
-            raise InputTableError(f"'{path}' has no layer '{name}': choose an existing one.")
-        definition = self._layer.GetLayerDefn()
+        self._layer = layer
+        definition = layer.GetLayerDefn()
         self.fields = [as_text(definition.GetFieldDefn(i).GetName()).lower() for i in range(definition.GetFieldCount())]
-        kind = self._layer.GetGeomType()
+        kind = layer.GetGeomType()
         self.placed, self.has_height = ogr.GT_Flatten(kind) == ogr.wkbPoint, bool(ogr.GT_HasZ(kind))
-        self.known_count = self._layer.GetFeatureCount(0)  # 0: only where the format knows it without counting
-        reference = self._layer.GetSpatialRef()
+        self.known_count = layer.GetFeatureCount(0)  # 0: only where the format knows it without counting
+        reference = layer.GetSpatialRef()
         self.crs: Optional[pyproj.CRS] = None
         if reference is not None:
             try:

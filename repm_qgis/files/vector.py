@@ -11,7 +11,7 @@ import numpy as np
 from osgeo import gdal, ogr, osr
 
 from ..contracts.arrays import FloatArray
-from ..contracts.errors import WorkspaceError
+from ..contracts.errors import InputTableError, WorkspaceError
 from ..contracts.records import GroundShift
 from ..runtime.workspace import not_written, take_name, temporary_folder
 from .untrusted import VECTORS, drivers_for, refusal_of
@@ -45,6 +45,20 @@ def file_and_layer(path: str) -> Tuple[str, str]:
     count = ends[0] if ends else 1
     name = next((part[len("layername=") :] for part in parts[count:] if part.startswith("layername=")), "")
     return "|".join(parts[:count]), name
+
+
+def open_layer(file: str, name: str = "") -> Tuple[Optional[gdal.Dataset], Optional[ogr.Layer]]:
+    """A file and its layer of a name ("": the first one); None and None where the file holds no layers.
+
+    The layer can be used as long as the file is kept. Raises InputTableError where no layer of the file has that name.
+    """
+    source = open_vector(file)
+    if source is None or not source.GetLayerCount():
+        return None, None
+    layer = source.GetLayerByName(name) if name else source.GetLayer(0)
+    if layer is None:
+        raise InputTableError(f"'{file}' has no layer '{name}': choose an existing one.")
+    return source, layer
 
 
 def read_points(path: str, fields: Sequence[str], most: int = 1 << 40) -> FloatArray:

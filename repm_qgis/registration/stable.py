@@ -10,7 +10,7 @@ from osgeo import gdal, ogr, osr
 
 from ..contracts.arrays import Mask
 from ..contracts.errors import ImageError, InputTableError
-from ..files.vector import file_and_layer, open_vector
+from ..files.vector import file_and_layer, open_layer
 from ..geometry.cell_grid import CellGrid
 from ..imagery.raster import opened
 
@@ -23,17 +23,12 @@ def stable_cells(path: str, grid: CellGrid, crs: str) -> Mask:
 
     Raises InputTableError for a layer, and ImageError for a raster, that cannot be used.
     """
-    file, layer = file_and_layer(path)
-    source = open_vector(file)
-    if source is not None and source.GetLayerCount():
-        chosen = source.GetLayerByName(layer) if layer else source.GetLayer(0)
-        if chosen is None:
-            raise InputTableError(f"'{file}' has no layer '{layer}': choose one that it has as STABLE.")
-        cells = _in_polygons(path, chosen, grid, crs)
-        chosen = source = None
-    else:
-        source = None
-        cells = _in_raster(file, grid, crs)
+    file, name = file_and_layer(path)
+    source, layer = open_layer(file, name)
+    if layer is None:
+        return _in_raster(file, grid, crs)
+    cells = _in_polygons(path, layer, grid, crs)
+    del layer, source  # in this order, or OGR's objects outlive their file
     return cells
 
 

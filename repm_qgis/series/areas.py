@@ -16,7 +16,7 @@ from ..change.volumes import Outlines, Shapes
 from ..contracts.arrays import FloatArray, FloatImage, IntArray
 from ..contracts.errors import InputTableError, OverlapError
 from ..evaluation.grids import Grid
-from ..files.vector import file_and_layer, open_vector, write_layer
+from ..files.vector import file_and_layer, open_layer, write_layer
 from ..geometry.frames import flat_crs
 from ..runtime.workspace import write_text
 from .times import DatedDsm
@@ -35,17 +35,13 @@ class Areas(Shapes):
         """Raises InputTableError for a layer that cannot be used."""
         super().__init__(grid)
         self.names: List[str] = []
-        file, name = file_and_layer(path)
-        source = open_vector(file)
-        if source is None or not source.GetLayerCount():
-            raise InputTableError(f"The layer '{path}' of AREAS cannot be read: choose a layer of polygons.")
-        layer = source.GetLayerByName(name) if name else source.GetLayer(0)
+        source, layer = open_layer(*file_and_layer(path))
         if layer is None:
-            raise InputTableError(f"'{file}' has no layer '{name}': choose one that it has as AREAS.")
+            raise InputTableError(f"The layer '{path}' of AREAS cannot be read: choose a layer of polygons.")
         if layer.GetSpatialRef() is None:
             raise InputTableError(f"The layer '{path}' has no coordinate reference system: assign it one first.")
         self._take(layer)
-        layer = source = None
+        del layer, source  # in this order, or OGR's objects outlive their file
         if not self.names:
             raise InputTableError(f"The layer '{path}' has no polygons: AREAS takes polygons.")
 

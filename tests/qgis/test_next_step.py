@@ -4,12 +4,55 @@ from __future__ import annotations
 
 import os
 import shutil
+from types import SimpleNamespace
 
 import pytest
+from qgis.PyQt.QtWidgets import QApplication
 
 pytestmark = pytest.mark.skipif(
     not (shutil.which("xvfb-run") and shutil.which("qgis")), reason="needs QGIS's desktop and xvfb-run ('make setup')"
 )
+
+
+@pytest.mark.parametrize("language", ("en", "de"))
+def test_messages_are_read_whole_in_a_dialog_of_qgis_own_width(language, provider, request, monkeypatch):
+    """Beside their buttons, in 688 px: QGIS gives a text one line, and a scroll bar for the second."""
+    from qgis.gui import QgsMessageBar
+    from qgis.PyQt.QtWidgets import QTextBrowser, QVBoxLayout, QWidget
+    from repm.desktop import next_step
+
+    if language == "de":
+        request.getfixturevalue("german")
+    window = QWidget()
+    bar = QgsMessageBar()
+    column = QVBoxLayout(window)
+    column.addWidget(bar)
+    column.addStretch()
+    window.resize(688, 523)
+    window.show()
+    monkeypatch.setattr(next_step.last_scene, "of_surface", lambda path: path)
+    made = {"SCENE": "scene.json", "OUTPUT": "dsm.tif", "OUTPUT_SCENE": "registered.json", "EAST": 123.4}
+    cases = [("inspect", {"PAIR": ["a"], "TRIPLET": ["a"]}, False), ("register", made, False)]
+    cases += [
+        (name, made, registered) for name in ("pipeline", "dsmfuse", "comparedsm") for registered in (False, True)
+    ]
+    texts = []
+    for algorithm, results, registered in cases:
+        steps = next_step.NextSteps()
+        steps.edit_dsm = lambda: None
+        monkeypatch.setattr(next_step, "_is_registered", lambda scene, registered=registered: registered)
+        monkeypatch.setattr(next_step, "_layer_of", lambda path: SimpleNamespace(id=lambda: "a layer"))
+        monkeypatch.setattr(next_step, "_bring_out", lambda layer_id: None)
+        given = {"SCENE": "scene.json", "DSM": "dsm.tif"}
+        text, buttons = steps.after(SimpleNamespace(messageBar=lambda: bar), algorithm, given, results)
+        for _ in range(9):  # Qt lays out the message, then the bar, then the window
+            QApplication.processEvents()
+        browser = bar.currentItem().findChild(QTextBrowser)
+        assert browser.toPlainText() == f"REPM: {text}" and buttons
+        place, needed = browser.viewport().height(), browser.document().size().height()
+        assert place >= needed and not browser.verticalScrollBar().isVisible(), (text, place, needed)
+        texts.append(text)
+    assert len(set(texts)) == 6
 
 
 @pytest.mark.slow
@@ -35,7 +78,7 @@ def test_run_compare_register_run_and_compare_again(desktop_start, town, tmp_pat
     assert registered[1] == ["Before", "After", plan["again"]] and registered[2] == [plan["again"]]
     assert (
         "was moved by" in registered[0]
-        and "registered scene" in fused[0]
+        and fused[0] == "Is the DSM in the right place now?"
         and fused[1] == [plan["compare"], plan["edit"]]
     )
     filled = found["filled"]
