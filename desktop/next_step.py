@@ -29,6 +29,7 @@ from ..processing_provider.values import any_paths, is_empty, layer_path
 from ..repm_qgis.contracts.options import DsmFuseOptions
 from ..repm_qgis.contracts.paths import real_path
 from ..repm_qgis.contracts.products import STYLES, products_of
+from ..repm_qgis.scene import is_registered
 
 _PATH = ("inspect", "pipeline", "dsmfuse", "comparedsm", "register")
 Button = tuple[str, Callable[[], Any]]
@@ -74,20 +75,21 @@ class NextSteps:
         return _tr("The images are inspected.") if buttons else "", buttons, []
 
     def _after_pipeline(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
-        scene, dsm = results.get("SCENE"), results.get("OUTPUT")
-        return _tr("Is the DSM in the right place?"), self._measuring(scene, dsm), []
+        return self._of_a_dsm(results.get("SCENE"), results.get("OUTPUT"))
 
     def _after_dsmfuse(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
-        scene, dsm = next(iter(named["SCENE"]), None), results.get("OUTPUT")
+        return self._of_a_dsm(next(iter(named["SCENE"]), None), results.get("OUTPUT"))
+
+    def _of_a_dsm(self, scene: Optional[str], dsm: Optional[str]) -> Any:
         text = _tr("Is the DSM in the right place?")
-        if _is_registered(scene):
+        if scene and is_registered(scene):  # in a run of its own, or in the same run
             text = _tr("Is the DSM in the right place now?")
         return text, self._measuring(scene, dsm), []
 
     def _after_comparedsm(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
         dsm = next(iter(named["DSM"]), "")
         scene = last_scene.of_surface(dsm)
-        if not scene or _is_registered(scene):
+        if not scene or is_registered(scene):
             edit = self._editing(dsm) if scene else []
             return _tr("Is the DSM wrong somewhere? Edit it.") if edit else "", edit, []
         text = _tr("Is the DSM off by too much? Register its scene.")
@@ -112,7 +114,7 @@ class NextSteps:
         buttons: list[Button] = []
         if dsm:
             buttons.append((_tr("Compare with a reference…"), lambda: self.compare(str(dsm))))
-        if scene and not _is_registered(scene):
+        if scene and not is_registered(scene):
             buttons.append((_tr("Register to a reference…"), lambda: self.register(str(scene))))
         elif dsm and scene:
             buttons += self._editing(dsm)
@@ -210,16 +212,6 @@ def _paths(value: Any) -> list[str]:
     context = QgsProcessingContext()
     context.setProject(QgsProject.instance())
     return [path for path in any_paths(value, context, only_named=True) if path]
-
-
-def _is_registered(scene: Optional[str]) -> bool:
-    from ..repm_qgis.contracts.errors import RepmError
-    from ..repm_qgis.scene import Scene
-
-    try:
-        return bool(scene) and Scene.load(str(scene)).registration is not None
-    except RepmError:
-        return False
 
 
 def _free(path: str) -> str:

@@ -26,6 +26,7 @@ from qgis.PyQt.QtCore import QCoreApplication, QUrl
 from qgis.PyQt.QtGui import QIcon
 
 from ..repm_qgis.contracts.products import products_of
+from ..repm_qgis.runtime.translation import written_in
 from . import engine, helppages, last_scene, settings, styles
 from .helptext import to_html
 from .kept import in_workspace
@@ -367,12 +368,20 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
     def _scene_name(self, options: Mapping[str, Any]) -> str:
         """The scene that a run belongs to, "" where its files and folders do not name it."""
         from ..repm_qgis import names
+        from ..repm_qgis.scene import is_registered
 
-        if options.get("scene"):
-            return names.scene_name(options["scene"])
-        if options.get("images"):
-            return names.run_name(options.get("workspace") or "", options.get("output") or "", options["images"])
-        return names.surface_name(options["dsm"]) if options.get("dsm") else ""
+        scene, images, dsm = (options.get(name) for name in ("scene", "images", "dsm"))
+        if scene:
+            name, registered = names.scene_name(scene), is_registered(scene)
+        elif images:
+            name = names.run_name(options.get("workspace") or "", options.get("output") or "", images)
+            registered = bool(options.get("reference"))
+        elif dsm:
+            name, registered = names.surface_name(dsm), names.is_of_registered(dsm)
+        else:
+            return ""
+        with written_in(language()):
+            return names.marked(name, registered)
 
     def _days(self, options: Mapping[str, Any], result: Mapping[str, Any]) -> list[str]:
         """The days on which the images of a run were taken, as far as they are known."""

@@ -12,7 +12,9 @@ from typing import List, Sequence
 
 from .contracts.checks import as_text
 from .contracts.errors import ImageError
+from .geometry.vertical import PLACED, PLACED_TAG
 from .imagery import raster
+from .runtime.translation import said
 from .scene import Scene, origin
 
 DAYS = "REPM_DAYS"
@@ -46,6 +48,11 @@ _SCENES_OF_RUNS = ("registered.json", "reconstructed.json", "scene.json")
 def titled(name: str, taken: Sequence[str]) -> str:
     """A scene's name and its days: "hills, 2019-04-02"."""
     return ", ".join(filter(None, (name, period(taken))))
+
+
+def marked(name: str, registered: bool) -> str:
+    """A scene's name, which tells it from the scene before it was registered: "hills, registered"."""
+    return f"{name}, {said('registered')}" if name and registered else name
 
 
 def period(taken: Sequence[str]) -> str:
@@ -113,12 +120,13 @@ def scene_title(scene: Scene, path: str) -> str:
     began = str(record.options.get("workspace") or "") if record else ""
     images = [view.image for view in scene.views]
     taken = sorted({view.time.date().isoformat() for view in scene.views if view.time is not None})
-    return titled(folder_name(os.path.dirname(path)) or folder_name(began) or images_name(images), taken)
+    name = folder_name(os.path.dirname(path)) or folder_name(began) or images_name(images)
+    return titled(marked(name, scene.registration is not None), taken)
 
 
 def surface_title(path: str) -> str:
     """The name and the days of a DSM."""
-    return titled(surface_name(path), surface_days(path))
+    return titled(marked(surface_name(path), is_of_registered(path)), surface_days(path))
 
 
 def dates_title(*surfaces: str) -> str:
@@ -142,11 +150,21 @@ def mosaic_name(output: str, parts: Sequence[str]) -> str:
 
 def surface_days(path: str) -> List[str]:
     """The days of the images that a DSM of this plugin was made of; empty for other files."""
+    return sorted(set(_item(path, DAYS).split()))
+
+
+def is_of_registered(path: str) -> bool:
+    """Whether a DSM of this plugin was made of a scene that was registered to a reference; False for other files."""
+    return _item(path, PLACED_TAG) == PLACED[0]
+
+
+def _item(path: str, tag: str) -> str:
+    """An item of a raster's metadata, "" where it has none or is no raster."""
     try:
         with raster.opened(path) as dataset:
-            return sorted(set(as_text(dataset.GetMetadataItem(DAYS) or "").split()))
+            return as_text(dataset.GetMetadataItem(tag) or "")
     except ImageError:
-        return []
+        return ""
 
 
 def _is_plain(name: str) -> bool:

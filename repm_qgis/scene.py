@@ -555,6 +555,14 @@ def days(path: str) -> List[str]:
     return sorted({time.date().isoformat() for time in times if time is not None})
 
 
+def is_registered(path: str) -> bool:
+    """Whether a scene was registered to a reference; False for a file that is no scene."""
+    try:
+        return _document(path).get("registration") is not None
+    except (SceneError, AttributeError):
+        return False
+
+
 def serves(path: str, stage: str) -> bool:
     """Whether a stage can take a scene, and has not written it itself; False for a file that is no scene."""
     try:

@@ -136,7 +136,7 @@ WORDS = (
     "area before after begins fusion matching refinement contradicted control check done maps no none point points "
     "unknown yes DSM wrong Report Tiles images parameters "
     "uncorrected corrected horizontally determined east west north south height north-west north-east south-west "
-    "south-east middle CRS"
+    "south-east middle CRS registered"
 ).split()
 """Words of one small letter or of a name's form that stand alone in texts: all others of that kind are codes."""
 _MOST_FORMS = 16

@@ -10,6 +10,8 @@ import pytest
 
 from repm_qgis import names
 from repm_qgis.imagery.raster import created
+from repm_qgis.runtime.translation import written_in
+from repm_qgis.scene import SCHEMA, is_registered
 
 
 @pytest.mark.parametrize(
@@ -86,3 +88,27 @@ def test_a_dsm_says_when_its_images_were_taken(tmp_path):
     assert names.surface_days(path) == ["2019-04-02", "2019-05-01"]
     assert names.surface_days(str(tmp_path / "none.tif")) == []
     assert names.surface_title(path) == f"{os.path.basename(tmp_path)}, 2019-04-02 – 2019-05-01"
+
+
+@pytest.mark.parametrize("placed, mark", (("registered to a reference", ", registered"), ("ground control points", "")))
+def test_a_dsm_of_a_registered_scene_is_told_from_the_one_before(placed, mark, tmp_path):
+    path = str(tmp_path / "dsm.tif")
+    tags = {"REPM_PLACED": placed, names.DAYS: "2019-05-01"}
+    with created(path, (2, 2), np.dtype(np.float32), 1, (0, 1, 0, 0, 0, -1), "", metadata=tags) as writer:
+        writer.write(np.zeros((2, 2), np.float32), 0, 0)
+    assert names.is_of_registered(path) == bool(mark)
+    assert names.surface_title(path) == f"{os.path.basename(tmp_path)}{mark}, 2019-05-01"
+    assert not names.is_of_registered(str(tmp_path / "none.tif"))
+    assert names.marked("", True) == ""
+    with written_in("de"):
+        assert names.marked("hills", True) == "hills, eingepasst"
+
+
+@pytest.mark.parametrize("text, registered", (('{"shift": 1}', True), ("null", False)))
+def test_a_scene_says_whether_it_is_registered(text, registered, tmp_path):
+    path = tmp_path / "scene.json"
+    path.write_text(f'{{"format": "repm-scene", "schema": {SCHEMA}, "registration": {text}}}')
+    assert is_registered(str(path)) == registered
+    path.write_text("no scene")
+    assert not is_registered(str(path))
+    assert not is_registered(str(tmp_path / "none.json"))

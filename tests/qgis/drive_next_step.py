@@ -115,6 +115,9 @@ def compare_again(dialog):
 @guarded
 def end(dialog):
     dialog.close()
+    FOUND["names"] = [
+        [node.name(), node.parent().name()] for node in QgsProject.instance().layerTreeRoot().findLayers()
+    ]
     FOUND["last"] = list(buttons(iface.messageBar()))
     buttons(iface.messageBar())[PLAN["edit"]].click()
     FOUND["edited"] = plugins["repm"].menu.edit_dsm().records.dsm

@@ -57,6 +57,8 @@ def test_a_layers_name_tells_the_scene(plugin, tmp_path):
     assert fuse._scene_name({"scene": temporary + "/scene.json"}) == ""
     compare = QgsApplication.processingRegistry().algorithmById("repm:comparedsm").create()
     assert compare._scene_name({"dsm": "/work/giza/dsm.tif", "reference": "/data/lidar.tif"}) == "giza"
+    placed = {"workspace": "/work/giza", "images": images, "reference": ["/data/lidar.tif"]}
+    assert algorithm._scene_name(placed) == "giza, registered"
     mosaic = QgsApplication.processingRegistry().algorithmById("repm:mosaic").create()
     parts = {"dsms": ["/work/west/dsm.tif", "/work/east/dsm.tif"], "scenes": []}
     assert mosaic._scene_name({**parts, "output": temporary + "/OUTPUT.tif"}) == "west + east"

@@ -36,11 +36,11 @@ def test_messages_are_read_whole_in_a_dialog_of_qgis_own_width(language, provide
     cases += [
         (name, made, registered) for name in ("pipeline", "dsmfuse", "comparedsm") for registered in (False, True)
     ]
-    texts = []
+    texts = {}
     for algorithm, results, registered in cases:
         steps = next_step.NextSteps()
         steps.edit_dsm = lambda: None
-        monkeypatch.setattr(next_step, "_is_registered", lambda scene, registered=registered: registered)
+        monkeypatch.setattr(next_step, "is_registered", lambda scene, registered=registered: registered)
         monkeypatch.setattr(next_step, "_layer_of", lambda path: SimpleNamespace(id=lambda: "a layer"))
         monkeypatch.setattr(next_step, "_bring_out", lambda layer_id: None)
         given = {"SCENE": "scene.json", "DSM": "dsm.tif"}
@@ -51,8 +51,10 @@ def test_messages_are_read_whole_in_a_dialog_of_qgis_own_width(language, provide
         assert browser.toPlainText() == f"REPM: {text}" and buttons
         place, needed = browser.viewport().height(), browser.document().size().height()
         assert place >= needed and not browser.verticalScrollBar().isVisible(), (text, place, needed)
-        texts.append(text)
-    assert len(set(texts)) == 6
+        texts[algorithm, registered] = text
+    assert len(set(texts.values())) == 6
+    # A reference of the first run registers the scene too.
+    assert all(texts["pipeline", registered] == texts["dsmfuse", registered] for registered in (False, True))
 
 
 @pytest.mark.slow
@@ -98,6 +100,11 @@ def test_run_compare_register_run_and_compare_again(desktop_start, town, tmp_pat
         and found["edited"] == found["filled"]["comparedsm"]["DSM"]
         and found["after the plugin"] == 0
     )
+    # The second DSM, and what measures it, are told from the first.
+    named = dict(found["names"])
+    assert named["DSM old town (WGS 84 ellipsoid)"] == "old town"
+    for name in ("DSM old town, registered (WGS 84 ellipsoid)", "Height error old town, registered"):
+        assert named[name] == "old town, registered", named
     assert not [name for name in found["visible"] if name.startswith("Height error")]  # it would hide the differences
     assert Scene.load(str(folder / "registered.json")).registration is not None
     before, after = (
