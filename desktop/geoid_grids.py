@@ -113,9 +113,9 @@ class GeoidGridsDialog(QDialog):
         self._loading.setParent(self)  # it deletes itself when it has ended: Python must not do so too
         self._loading.downloadProgress.connect(self._progressed)
         self._loading.downloadCompleted.connect(lambda *_: self._arrived(name, part))
-        self._loading.downloadError.connect(lambda errors: self._ended("; ".join(errors)))
+        self._loading.downloadError.connect(self._failed)
         self.bar.setValue(0)
-        self.said.setText(_tr("Fetching {name}…").format(name=name))
+        self._say(_tr("Fetching {name}…").format(name=name))
         self.refresh()
 
     def _progressed(self, received: int, total: int) -> None:
@@ -134,10 +134,19 @@ class GeoidGridsDialog(QDialog):
             return
         self._ended("", name)
 
+    def _failed(self, errors: list[str]) -> None:
+        advice = _tr("Check the network, and the proxy under Settings > Options > Network.")
+        self._ended(f"{'; '.join(errors).rstrip('.')}. {advice}")
+
+    def _say(self, text: str) -> None:
+        """Show a sentence; the window grows for its lines, which would take those of the grids."""
+        self.said.setText(text)
+        self.resize(self.width(), max(self.height(), self.layout().totalHeightForWidth(self.width())))
+
     def _ended(self, error: str, name: str = "") -> None:
         self._loading = None
         self.bar.setValue(0 if error else 100)
-        self.said.setText(
+        self._say(
             _tr("The grid could not be fetched: {error}").format(error=error)
             if error
             else _tr("{name} is installed: heights above this geoid can be used now.").format(name=name)

@@ -747,6 +747,10 @@
         <translation>{name} wird geholt…</translation>
     </message>
     <message>
+        <source>Check the network, and the proxy under Settings &gt; Options &gt; Network.</source>
+        <translation>Das Netzwerk prüfen, und den Proxy unter Einstellungen &gt; Optionen &gt; Netzwerk.</translation>
+    </message>
+    <message>
         <source>The grid could not be fetched: {error}</source>
         <translation>Das Gitter konnte nicht geholt werden: {error}</translation>
     </message>

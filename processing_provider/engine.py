@@ -24,6 +24,7 @@ from qgis.PyQt.QtCore import QCoreApplication, QProcess, QProcessEnvironment
 
 from ..repm_qgis.installer.environments import usable, user_home
 from ..repm_qgis.installer.interpreter import candidates, is_program, program_in, variables
+from ..repm_qgis.installer.pip import without_password
 from ..repm_qgis.runtime.packages import PACKAGES
 from . import settings
 from .cleanup import remove_half_written
@@ -165,8 +166,9 @@ def run_apart(
     start = time.time()
     given = {**options, "language": language()}
     job = json.dumps({**given, "labels": labels(stage)})
-    # Without the labels: they are the same in each run, and would fill the log.
-    feedback.pushDebugInfo(f"{python} -m repm_qgis {stage} - <<< {shlex.quote(json.dumps(given))}")
+    # Without the labels, which are the same in each run and would fill the log, and without a proxy's password.
+    shown = {**given, "proxy": without_password(given["proxy"])} if given.get("proxy") else given
+    feedback.pushDebugInfo(f"{python} -m repm_qgis {stage} - <<< {shlex.quote(json.dumps(shown))}")
     try:
         return _EngineProcess(stage, python, job).result(feedback)
     except QgsProcessingException:

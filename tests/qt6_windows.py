@@ -334,7 +334,7 @@ def dialogs(menu, parts):
         _follow(parts.bar, algorithm.name())
         _follow(dialog.messageBar(), algorithm.name())
         dialog.close()
-    registered = {"_is_registered": lambda scene: True}
+    registered = {"is_registered": lambda scene: True}
     with (
         mock.patch.multiple(steps, **registered),
         mock.patch.object(steps.last_scene, "of_surface", lambda dsm: "scene"),

@@ -151,7 +151,7 @@ def _followed(
 
     def read(stream: IO[bytes]) -> None:
         for line in stream:
-            lines.put(_without_password(line.decode("utf-8", "replace").rstrip()))
+            lines.put(without_password(line.decode("utf-8", "replace").rstrip()))
         lines.put(None)
 
     if process.stdout is not None:
@@ -189,8 +189,13 @@ def _doing(line: str) -> str:
     return f"installing {' '.join(words[3:])}" if line.startswith("Installing collected packages") else ""
 
 
-def _without_password(line: str) -> str:
-    return re.sub(r"://[^/@\s]+@", "://***@", line)
+def without_password(text: str) -> str:
+    """A line, or a proxy's address with or without its scheme, without users and passwords: ``http://***@host:80``."""
+    return re.sub(r"://[^/@\s]+@|^[^/@\s]+@(?=[^/@\s]+$)", _hidden, text)
+
+
+def _hidden(found: "re.Match[str]") -> str:
+    return "://***@" if found[0].startswith("://") else "***@"
 
 
 _NETWORK = re.compile(
@@ -216,7 +221,7 @@ def failure(lines: Sequence[str], code: int, proxy: str, wheels: str) -> RepmErr
     if _LOCKED.search(text):
         return WorkspaceError(f"A file cannot be written ({said}): end what runs in this folder, then install again.")
     if _PROXY.search(text):
-        name = _without_password(proxy) or "that is set"
+        name = without_password(proxy) or "that is set"
         return MissingPackageError(
             f"The proxy {name} does not let the packages through ({_reason(_PROXY, lines)}): correct it, such as "
             "http://host:port, with user:password@ before the host where it asks for them, or choose a folder of "

@@ -6,7 +6,7 @@ import sys
 from qgis.core import QgsApplication
 from qgis.PyQt import sip
 from qgis.PyQt.QtCore import QTimer
-from qgis.PyQt.QtWidgets import QApplication
+from qgis.PyQt.QtWidgets import QApplication, QLabel
 from qgis.utils import iface, loadPlugin, plugins, startPlugin, unloadPlugin
 
 sys.path.insert(0, os.environ["REPM_DESKTOP_DRIVERS"])
@@ -54,6 +54,9 @@ def look_at_grids(dialog):
 @guarded
 def run_batch(dialog):
     FOUND["failed"] = dialog.said.text()
+    labels = [label for label in dialog.findChildren(QLabel) if label.text()]
+    FOUND["cut"] = [label.text() for label in labels if label.height() < label.heightForWidth(label.width())]
+    picture(dialog, "failed.png")
     FOUND["parts"] = [name for name in os.listdir(PLAN["folder_of_grids"]) if name.endswith(".part")]
     dialog.close()
     from processing.core.ProcessingResults import resultsList

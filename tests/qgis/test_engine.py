@@ -132,6 +132,14 @@ def test_progress_notes_and_result_come_through(engine, feedback, monkeypatch):
     assert feedback.heard["warning"] == ["a warning"]
 
 
+@pytest.mark.parametrize("proxy", ("http://anna:secret@10.0.0.1:3128", "anna:secret@10.0.0.1:3128"))
+def test_the_log_has_no_password_of_a_proxy(engine, feedback, proxy):
+    """Logs are sent to others; the engine itself gets the proxy as it is."""
+    result = engine.run_apart("fine", {"proxy": proxy}, feedback, VENV_PYTHON)
+    assert result["got"] == {"proxy": proxy}
+    assert "10.0.0.1:3128" in feedback.textLog() and "secret" not in feedback.textLog()
+
+
 @pytest.mark.parametrize(
     ("stage", "words"),
     [

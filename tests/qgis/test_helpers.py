@@ -53,6 +53,8 @@ def test_grids_are_fetched_a_batch_ends_well_loading_is_quiet(sample, desktop_st
     assert found["fetched"]["us_nga_egm08_25.tif"] == "Installed" and os.path.exists(grids / "us_nga_egm08_25.tif")
     if found["grids"]["us_nga_egm96_15.tif"] == "Fetch":  # the server does not have it
         assert found["failed"].startswith("The grid could not be fetched") and not found["parts"]
+        assert found["failed"].endswith("Settings > Options > Network.")
+    assert not found["cut"]  # by a message of several lines
     assert found["default"] == [False, True]  # the packages are there: Enter closes
     assert [page for page in found["pages"] if page in reports] == reports and all(map(os.path.exists, reports))
     assert not [text for text in found["log"] if "Traceback" in text], found["log"]
