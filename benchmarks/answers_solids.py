@@ -276,7 +276,7 @@ def _surfaces() -> List[str]:
             triangles = write_mesh(dsm, path, vertices).faces
             chosen = alone(write_mesh_of, dsm, path, round(vertices * faces / triangles))
             found = _library("distance", path, cells)
-            simple.append(_mesh_row("MESH_VERTICES, about as many triangles", chosen.result[0], chosen, found))
+            simple.append(_mesh_row("**MESH_VERTICES, about as many triangles**", chosen.result[0], chosen, found))
             found = _library("simplify", full, cells, str(faces))
             simple.append(
                 ["open3d's quadric decimation", "", found["triangles"], *found["cells"]]

@@ -39,6 +39,7 @@ PACKAGES = (
     Package("pycolmap", "pycolmap", "", "tie points, bundle adjustment, matching on CUDA", 38.2, 142.0),
     Package("laspy", "laspy", "", "point clouds (LAS)", 0.1, 0.5),
     Package("lazrs", "lazrs", "", "compressed point clouds (LAZ)", 0.6, 2.0),
+    Package("pyfqmr", "pyfqmr", "", "meshes of few vertices", 0.9, 3.3),
 )
 OF_QGIS = ("numpy", "scipy", "GDAL", "pyproj")
 """Always those that QGIS has: its compiled modules were built against them."""

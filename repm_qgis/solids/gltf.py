@@ -19,7 +19,7 @@ import numpy as np
 from ..contracts.arrays import FloatArray
 from ..contracts.errors import OptionError
 from ..geometry.vertical import ELLIPSOID, TAG
-from .lattice import Lattice
+from .lattice import Surface
 from .texture import middle, picture, picture_places
 
 _POSITION, _PLACE, _CORNERS = 12, 8, 12  # bytes: of a vertex, of its place in the picture, of a triangle
@@ -27,28 +27,28 @@ _FLOAT, _UINT = 5126, 5125  # glTF's names of types
 _ARRAY, _ELEMENTS = 34962, 34963  # and of what buffers are for
 
 
-def write_glb(path: str, lattice: Lattice, vertices: int, faces: int) -> None:
-    """Write a mesh of so many vertices and triangles; the picture is there where the lattice has paint.
+def write_glb(path: str, surface: Surface, vertices: int, faces: int) -> None:
+    """Write a mesh of so many vertices and triangles; the picture is there where the surface has paint.
 
     Memory does not grow with the DSM, but for the picture's. Raises OptionError beyond the 4 GiB that GLB can hold.
     """
-    origin = middle(lattice)
-    low, high = _bounds(lattice, origin)
-    image = picture(lattice.paint) if lattice.paint is not None else None
+    origin = middle(surface)
+    low, high = _bounds(surface, origin)
+    image = picture(surface.paint) if surface.paint is not None else None
     sizes = [vertices * _POSITION, vertices * _PLACE if image else 0, faces * _CORNERS, len(image or b"")]
-    document = _padded(json.dumps(_document(lattice, origin, (low, high), sizes, bool(image))).encode("ascii"), b" ")
+    document = _padded(json.dumps(_document(surface, origin, (low, high), sizes, bool(image))).encode("ascii"), b" ")
     body = _even(sum(sizes))
     if body + len(document) + 28 >= 1 << 32:
         raise OptionError("MESH_VERTICES", vertices, "are more than a GLB can hold: choose 50000000, or a PLY")
     with open(path, "wb") as stream:
         stream.write(struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(document) + 8 + body))
         stream.write(struct.pack("<I4s", len(document), b"JSON") + document + struct.pack("<I4s", body, b"BIN\0"))
-        for first, block in lattice.rows():
-            stream.write(_turned(lattice.places(first, block) - origin).astype("<f4").tobytes())
+        for places in surface.parts():
+            stream.write(_turned(places - origin).astype("<f4").tobytes())
         if image:
-            for first, block in lattice.rows():
-                stream.write(picture_places(lattice, first, block).astype("<f4").tobytes())
-        for corners in lattice.triangles():
+            for places in surface.parts():
+                stream.write(picture_places(surface, places).astype("<f4").tobytes())
+        for corners in surface.triangles():
             stream.write(corners.astype("<u4").tobytes())
         stream.write((image or b"") + b"\0" * (body - sum(sizes)))
 
@@ -58,18 +58,18 @@ def _turned(xyz: FloatArray) -> FloatArray:
     return np.column_stack([xyz[:, 0], xyz[:, 2], -xyz[:, 1]])
 
 
-def _bounds(lattice: Lattice, origin: FloatArray) -> Tuple[List[float], List[float]]:
+def _bounds(surface: Surface, origin: FloatArray) -> Tuple[List[float], List[float]]:
     """The least and greatest coordinates, as single precision rounds them: readers compare them."""
     low, high = np.full(3, np.inf, np.float32), np.full(3, -np.inf, np.float32)
-    for first, block in lattice.rows():
-        places = _turned(lattice.places(first, block) - origin).astype(np.float32)
+    for places in surface.parts():
+        places = _turned(places - origin).astype(np.float32)
         if len(places):
             low, high = np.minimum(low, places.min(axis=0)), np.maximum(high, places.max(axis=0))
     return [float(value) for value in low], [float(value) for value in high]
 
 
 def _document(
-    lattice: Lattice, origin: FloatArray, ends: Tuple[List[float], List[float]], sizes: List[int], textured: bool
+    surface: Surface, origin: FloatArray, ends: Tuple[List[float], List[float]], sizes: List[int], textured: bool
 ) -> Dict[str, Any]:
     """The JSON part of the file; ``sizes`` are bytes of positions, places in the picture, triangles and picture."""
     starts = [sum(sizes[:n]) for n in range(4)]
@@ -85,7 +85,7 @@ def _document(
     ]
     attributes = {"POSITION": 0}
     matt: Dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 1}
-    document: Dict[str, Any] = {"asset": {"version": "2.0", "generator": "REPM", "extras": _extras(lattice, origin)}}
+    document: Dict[str, Any] = {"asset": {"version": "2.0", "generator": "REPM", "extras": _extras(surface, origin)}}
     if textured:
         accessors.append({"bufferView": 1, "componentType": _FLOAT, "count": vertices, "type": "VEC2"})
         attributes["TEXCOORD_0"] = 1
@@ -112,11 +112,11 @@ def _document(
     return document
 
 
-def _extras(lattice: Lattice, origin: FloatArray) -> Dict[str, Any]:
-    heights = lattice.dataset.GetMetadataItem(TAG) or ELLIPSOID
+def _extras(surface: Surface, origin: FloatArray) -> Dict[str, Any]:
+    heights = surface.dataset.GetMetadataItem(TAG) or ELLIPSOID
     return {
         "origin": [float(value) for value in origin],
-        "crs": lattice.dataset.GetProjection(),
+        "crs": surface.dataset.GetProjection(),
         "heights": f"metres above the {heights}",
         "axes": "x to the east, y up, z to the south, in metres from the origin",
     }

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Iterator, Optional, Tuple
+from typing import Iterator, Optional, Protocol, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..contracts.arrays import FloatArray, FloatImage, IntArray, Mask, Window
+from ..contracts.arrays import FloatArray, FloatImage, IntArray, Window
 from ..imagery.raster import read
 from ..runtime.progress import Progress
 from .painting import Colours, Paint
@@ -20,24 +19,37 @@ _A, _B, _C, _D = (0, 0), (0, 1), (1, 0), (1, 1)
 TRIANGLES = np.array([[_A, _C, _D], [_A, _D, _B], [_A, _C, _B], [_B, _C, _D]])
 
 
-@dataclass(frozen=True)
-class Kept:
-    """A simplified lattice: which of its cells are vertices, and (N, 3) their numbers in the triangles."""
+class Surface(Protocol):
+    """Vertices and triangles as the writers of meshes take them, part by part; ``dataset`` is the DSM."""
 
-    cells: Mask
-    triangles: NDArray[np.int32]
+    @property
+    def dataset(self) -> gdal.Dataset: ...
+
+    @property
+    def paint(self) -> Optional[Paint]: ...
+
+    def parts(self) -> Iterator[FloatArray]:
+        """(n, 3) places of the vertices."""
+
+    def painted(self) -> Iterator[Tuple[FloatArray, Optional[Colours]]]:
+        """The same with their (n, 3) colours; None without an orthophoto in colour."""
+
+    def triangles(self) -> Iterator[IntArray]:
+        """(n, 3) numbers of the vertices of all triangles."""
+
+    def counts(self) -> Tuple[int, int]:
+        """How many vertices and triangles there are."""
 
 
 @dataclass(frozen=True)
 class Lattice:
-    """Every ``step``-th cell of a DSM, of which ``block_cells`` are read at once; of these the ``kept`` ones."""
+    """Every ``step``-th row and column of a DSM, of which ``block_cells`` cells are read at once."""
 
     dataset: gdal.Dataset
     step: int
     block_cells: int
     progress: Progress
     paint: Optional[Paint] = None
-    kept: Optional[Kept] = None
 
     def rows(self) -> Iterator[Tuple[int, FloatImage]]:
         """Blocks of rows with the number of their first, NaN where no vertex is; memory does not grow with the DSM."""
@@ -46,10 +58,7 @@ class Lattice:
         for row in range(0, height, lines):
             self.progress.check_cancelled()
             block = read(self.dataset, Window(0, row, width, min(lines, height - row)))
-            first, block = row // self.step, block[:: self.step, :: self.step]
-            if self.kept is not None:
-                block = np.where(self.kept.cells[first : first + len(block)], block, np.float32(np.nan))
-            yield first, block
+            yield row // self.step, block[:: self.step, :: self.step]
 
     def squares(self) -> Iterator[Tuple[FloatImage, IntArray]]:
         """Heights and numbers of vertices, each block with the last row of the one before."""
@@ -63,15 +72,23 @@ class Lattice:
             above = block[-1:], numbers[-1:]
             yield pair
 
-    def places(self, first: int, block: FloatImage) -> FloatArray:
-        """(N, 3) x, y, height at the centres of the cells that have one."""
+    def parts(self) -> Iterator[FloatArray]:
+        """(n, 3) x, y, height at the centres of the cells that have one."""
+        for first, block in self.rows():
+            yield self._places(first, block)
+
+    def painted(self) -> Iterator[Tuple[FloatArray, Optional[Colours]]]:
+        """The same with their (n, 3) colours; None without an orthophoto in colour."""
+        for first, block in self.rows():
+            yield self._places(first, block), self._colours(first, block)
+
+    def _places(self, first: int, block: FloatImage) -> FloatArray:
         row, column = np.nonzero(np.isfinite(block))
         x0, cell_x, _, y0, _, cell_y = self.dataset.GetGeoTransform()
         x, y = x0 + (column * self.step + 0.5) * cell_x, y0 + ((row + first) * self.step + 0.5) * cell_y
         return np.column_stack([x, y, block[row, column]])
 
-    def colours(self, first: int, block: FloatImage) -> Optional[Colours]:
-        """(N, 3) colours of these cells; None without an orthophoto in colour."""
+    def _colours(self, first: int, block: FloatImage) -> Optional[Colours]:
         if self.paint is None:
             return None
         width = self.dataset.RasterXSize
@@ -81,32 +98,24 @@ class Lattice:
         return painted
 
     def triangles(self) -> Iterator[IntArray]:
-        """(N, 3) numbers of the vertices of all triangles, block by block."""
-        if self.kept is not None:
-            for start in range(0, len(self.kept.triangles), self.block_cells):
-                self.progress.check_cancelled()
-                yield self.kept.triangles[start : start + self.block_cells].astype(np.int64)
-            return
+        """(n, 3) numbers of the vertices of all triangles."""
         for heights, numbers in self.squares():
             row, column, kind = _cells(heights)
             corners = TRIANGLES[kind]
             yield numbers[row[:, None] + corners[..., 0], column[:, None] + corners[..., 1]]
 
-    def faces(self) -> int:
-        """How many triangles there are."""
-        if self.kept is not None:
-            return len(self.kept.triangles)
-        return sum(len(_cells(heights)[0]) for heights, _ in self.squares())
+    def counts(self) -> Tuple[int, int]:
+        """How many vertices and triangles there are."""
+        return self.vertices(), sum(len(_cells(heights)[0]) for heights, _ in self.squares())
 
     def vertices(self) -> int:
         """How many vertices there are."""
         return sum(int(np.isfinite(block).sum()) for _, block in self.rows())
 
 
-def thinned(dataset: gdal.Dataset, max_vertices: int, block_cells: int, progress: Progress) -> Tuple[Lattice, int]:
+def thinned(lattice: Lattice, max_vertices: int = 0) -> Tuple[Lattice, int]:
     """The finest lattice that stays within the limit, and its vertices."""
     limit = min(max_vertices or np.inf, np.iinfo(np.int32).max)  # indices in files
-    lattice = Lattice(dataset, 1, block_cells, progress)
     vertices = lattice.vertices()
     while vertices > limit:
         step = max(math.isqrt(int(vertices // limit)) * lattice.step, lattice.step + 1)

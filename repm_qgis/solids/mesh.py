@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Optional
 
 import numpy as np
@@ -21,11 +21,11 @@ from ..runtime.workspace import whole_file
 from . import ply
 from .derived import FinishedDsm
 from .gltf import write_glb
-from .lattice import Lattice
+from .lattice import Surface
 from .obj import write_obj
 from .painting import Colours, opened_paint
 from .parameters import SOLIDS, SolidsParameters
-from .simplification import reduced_lattice
+from .simplification import reduced
 
 _COLOURED = np.dtype([("place", "<f8", 3), ("colour", "u1", 3)])
 _FACE = np.dtype([("corners", "u1"), ("vertices", "<i4", 3)])
@@ -60,9 +60,9 @@ def write_mesh(
 ) -> MeshFacts:
     """Write a DSM's surface as a binary PLY or, by the name's end, as glTF (.glb) or OBJ; completely or not at all.
 
-    Vertices are cells that have a height, in the DSM's CRS and heights, double precision; where these are more than
-    ``max_vertices`` (0: no limit), those are used whose mesh lies nearest to all of them (solids/simplification.py).
-    No triangle lies on a cell without a height, so holes stay open; of a square's two diagonals the flatter one is
+    Vertices are cells that have a height, in the DSM's CRS and heights, double precision. Where these are more than
+    ``max_vertices`` (0: no limit), edges are collapsed until so many are left (solids/simplification.py). No triangle
+    lies on a cell without a height, so holes stay open; of a square's two diagonals the flatter one is
     taken, which keeps edges of roofs straight. A PLY's vertices have the colours of
     ``ortho``, an orthophoto on the DSM's cells or finer ones; a GLB and an OBJ have its picture, and places from the
     DSM's middle.
@@ -74,28 +74,27 @@ def write_mesh(
     progress = progress or Silent()
     with ExitStack() as stack:
         dataset = stack.enter_context(opened(dsm))
-        lattice, vertices, cells = reduced_lattice(dataset, max_vertices, parameters, progress)
+        paint = stack.enter_context(opened_paint(ortho, parameters.painting)) if ortho else None
+        surface, cells = reduced(dataset, max_vertices, parameters, progress=progress, paint=paint)
+        vertices, faces = surface.counts()
         if not vertices:
             raise EmptyResultError(f"The DSM '{dsm}' has no heights: there is nothing to write into '{path}'.")
-        faces = lattice.faces()
-        if ortho:
-            lattice = replace(lattice, paint=stack.enter_context(opened_paint(ortho, parameters.painting)))
         with whole_file(path) as temporary:
             if path.lower().endswith(".obj"):
-                write_obj(temporary, path, lattice)
+                write_obj(temporary, path, surface)
             elif is_textured(path):
-                write_glb(temporary, lattice, vertices, faces)
+                write_glb(temporary, surface, vertices, faces)
             else:
-                _write(temporary, lattice, vertices, faces)
+                _write(temporary, surface, vertices, faces)
     return MeshFacts(vertices, faces, cells)
 
 
-def _write(path: str, lattice: Lattice, vertices: int, faces: int) -> None:
+def _write(path: str, surface: Surface, vertices: int, faces: int) -> None:
     with open(path, "wb") as stream:
-        stream.write(_header(lattice.dataset, vertices, faces, lattice.paint is not None))
-        for first, block in lattice.rows():
-            stream.write(_vertices(lattice.places(first, block), lattice.colours(first, block)))
-        for corners in lattice.triangles():
+        stream.write(_header(surface.dataset, vertices, faces, surface.paint is not None))
+        for places, colours in surface.painted():
+            stream.write(_vertices(places, colours))
+        for corners in surface.triangles():
             stream.write(_faces(corners).tobytes())
 
 

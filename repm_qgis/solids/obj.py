@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..contracts.errors import WorkspaceError
 from ..geometry.vertical import ELLIPSOID, TAG
 from ..runtime.workspace import whole_file
-from .lattice import Lattice
+from .lattice import Surface
 from .texture import middle, picture, picture_places
 
 _MATERIAL = "newmtl orthophoto\nKd 1 1 1\nillum 1\nmap_Kd {name}.jpg\n"
@@ -52,8 +52,8 @@ def _companions(path: str) -> Tuple[str, Path, Path]:
     return name, Path(path).with_name(f"{name}.jpg"), Path(path).with_name(f"{name}.mtl")
 
 
-def write_obj(temporary: str, path: str, lattice: Lattice) -> None:
-    """Write the mesh that will be ``path`` into a temporary file; where the lattice has paint, ``path.mtl`` and
+def write_obj(temporary: str, path: str, surface: Surface) -> None:
+    """Write the mesh that will be ``path`` into a temporary file; where the surface has paint, ``path.mtl`` and
     ``path.jpg`` too, which only belong to it. Their names have no spaces, which many readers do not take.
 
     Raises WorkspaceError where they would replace other files (:func:`require_own_companions`).
@@ -63,29 +63,29 @@ def write_obj(temporary: str, path: str, lattice: Lattice) -> None:
     name, *companions = _companions(path)
     with ExitStack() as stack:
         stream = stack.enter_context(open(temporary, "wb"))
-        if lattice.paint is not None:
+        if surface.paint is not None:
             require_own_companions(path)
             image, material = (stack.enter_context(whole_file(str(place))) for place in companions)
-            Path(image).write_bytes(picture(lattice.paint))
+            Path(image).write_bytes(picture(surface.paint))
             Path(material).write_bytes(_MATERIAL.format(name=name).encode())
-        _write(stream, lattice, f"mtllib {name}.mtl\nusemtl orthophoto\n" if lattice.paint is not None else "")
+        _write(stream, surface, f"mtllib {name}.mtl\nusemtl orthophoto\n" if surface.paint is not None else "")
 
 
-def _write(stream: BinaryIO, lattice: Lattice, material: str) -> None:
-    origin = middle(lattice)
-    heights = lattice.dataset.GetMetadataItem(TAG) or ELLIPSOID
+def _write(stream: BinaryIO, surface: Surface, material: str) -> None:
+    origin = middle(surface)
+    heights = surface.dataset.GetMetadataItem(TAG) or ELLIPSOID
     place = f"{origin[0]:.0f} {origin[1]:.0f} 0"
     stream.write(f"# origin: {place}, of x to the east, y to the north, z up, in metres\n".encode())
     stream.write(f"# heights: metres above the {heights}\n".encode())
-    stream.write(f"# crs: {lattice.dataset.GetProjection()}\n{material}".encode())
-    for first, block in lattice.rows():
-        stream.write(_lines("v %.4f %.4f %.4f\n", lattice.places(first, block) - origin))
+    stream.write(f"# crs: {surface.dataset.GetProjection()}\n{material}".encode())
+    for places in surface.parts():
+        stream.write(_lines("v %.4f %.4f %.4f\n", places - origin))
     if material:
-        for first, block in lattice.rows():
-            right, down = picture_places(lattice, first, block).T
+        for places in surface.parts():
+            right, down = picture_places(surface, places).T
             stream.write(_lines("vt %.6f %.6f\n", np.column_stack([right, 1.0 - down])))
     corner = "%d/%d" if material else "%d"
-    for corners in lattice.triangles():
+    for corners in surface.triangles():
         numbers = np.repeat(corners + 1, 2 if material else 1, axis=1)
         stream.write(_lines(f"f {corner} {corner} {corner}\n", numbers))
 

@@ -40,10 +40,11 @@ class EptParameters(Parameters):
 class SimplificationParameters(Parameters):
     """Meshes of fewer vertices than the DSM has cells."""
 
-    lost: float = 0.3  # squared distance, in its triangle's, that counts for a cell which is lost to a hole; tuned
-    negligible_m2: float = 1e-4  # sum of squared distances: a cell is not needed that is one centimetre off; chosen
-    root_cells: int = 256  # side of the largest squares, longer where few vertices are wanted; a power of two
-    cells: int = 1 << 24  # from which vertices are chosen; bounds the memory
+    cells: int = 1 << 22  # from which vertices are chosen; bounds time and memory; measured against 1 << 24
+    strip_cells: int = 1 << 18  # simplified at once: about 250 MB
+    spare: float = 1.5  # strips have so many times the vertices that are wanted, and all together fewer; chosen
+    joined: int = 1 << 20  # wanted vertices up to which all strips are simplified together: 2 GB
+    tight: float = 0.95  # of more, strips have so many times what is wanted: their seams are kept
 
 
 @dataclass(frozen=True)

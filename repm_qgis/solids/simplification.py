@@ -1,271 +1,177 @@
-"""Which cells of a DSM are enough for a mesh of so many vertices, and the triangles between them.
+"""A DSM's mesh with fewer vertices, by collapsing the edges whose removal moves the surface least.
 
-Triangles are right-angled, and are halved at the middle of their longest side. Each cell of the grid is the middle of
-one such side, of two triangles, its diamond. The error of a cell is the sum of squared distances of the diamond's cells
-from these two triangles, and not less than the errors of the cells that need it as a corner. All cells above one
-threshold are then a mesh without cracks. Errors are computed for all cells of a level together, from fine to coarse.
+The package pyfqmr collapses edges by quadric error metrics. The rims of holes and of the DSM keep all their vertices,
+so no triangle covers a cell without a height. Rows are simplified in strips, which bounds the memory: neighbouring
+strips share a row of cells, whose vertices stay where they are. All strips together are then simplified once more,
+because flat ones need fewer vertices than others.
 
 References
 ----------
-Evans, Kirkpatrick and Townsend, Right-triangulated irregular networks, Algorithmica 30, 2001: the hierarchy.
-Lindstrom and Pascucci, Visualization of large terrains made easy, IEEE Visualization 2001: errors that contain those of
-dependent cells.
-Garland and Heckbert, Fast polygonal approximation of terrains and height fields, CMU-CS-95-181, 1995: measures
-of error.
+Garland and Heckbert, Surface simplification using quadric error metrics, SIGGRAPH 1997.
+Forstmann, Fast quadric mesh simplification, 2014 (MIT licence): thresholds in place of a queue; what pyfqmr wraps.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import math
-from dataclasses import replace
-from typing import Any, List, Tuple
+from dataclasses import dataclass, replace
+from typing import Iterator, List, Optional, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..contracts.arrays import FloatImage, Mask
+from ..contracts.arrays import FloatArray, FloatImage, IntArray
+from ..contracts.errors import INSTALL_REMEDY
 from ..runtime.progress import Progress
-from .lattice import TRIANGLES, Kept, Lattice, square_triangles, thinned
+from .lattice import TRIANGLES, Lattice, Surface, square_triangles, thinned
+from .painting import Colours, Paint
 from .parameters import SimplificationParameters, SolidsParameters
 
-Places = NDArray[np.int32]
-"""Rows and columns of cells."""
-_GATHERED = 1 << 18  # cells below triangles that are looked at together; bounds the memory
 
+@dataclass(frozen=True)
+class Simplified:
+    """A mesh whose vertices lie between the cells of a DSM.
 
-def reduced_lattice(
-    dataset: gdal.Dataset, max_vertices: int, parameters: SolidsParameters, progress: Progress
-) -> Tuple[Lattice, int, int]:
-    """The cells of a DSM that give a near mesh of at most ``max_vertices`` (0: no limit), their number, and that of all
-    cells.
-
-    Where a DSM has more cells than memory is planned for, they are chosen from every second, third, ... row and column.
-    The same is done where no triangle is free of holes.
+    ``xyz`` (N, 3) in the DSM's CRS, from the north to the south; ``corners`` (M, 3) their numbers in the triangles.
     """
-    block, simple = parameters.mesh_block_cells, parameters.simplification
-    lattice, vertices = thinned(dataset, 0, block, progress)
-    every = vertices
-    if not max_vertices or vertices <= max_vertices:
-        return lattice, vertices, every
-    cells = dataset.RasterXSize * dataset.RasterYSize
-    lattice = replace(lattice, step=math.ceil(math.sqrt(cells / min(max(simple.cells, max_vertices), cells))))
-    vertices = lattice.vertices()
-    if vertices > max_vertices:
-        kept = _kept(lattice, max_vertices, simple)
-        if not len(kept.triangles):
-            return (*thinned(dataset, max_vertices, block, progress), every)
-        lattice, vertices = replace(lattice, kept=kept), int(kept.cells.sum())
-    return lattice, vertices, every
+
+    dataset: gdal.Dataset
+    xyz: FloatArray
+    corners: IntArray
+    at_once: int
+    progress: Progress
+    paint: Optional[Paint] = None
+
+    def parts(self) -> Iterator[FloatArray]:
+        """(n, 3) places of the vertices, part by part."""
+        for first in range(0, len(self.xyz), self.at_once):
+            self.progress.check_cancelled()
+            yield self.xyz[first : first + self.at_once]
+
+    def painted(self) -> Iterator[Tuple[FloatArray, Optional[Colours]]]:
+        """The same with their (n, 3) colours; None without an orthophoto in colour."""
+        for part in self.parts():
+            yield part, None if self.paint is None else self.paint.points(part[:, 0], part[:, 1])
+
+    def triangles(self) -> Iterator[IntArray]:
+        """(n, 3) numbers of the vertices of all triangles, part by part."""
+        for first in range(0, len(self.corners), self.at_once):
+            self.progress.check_cancelled()
+            yield self.corners[first : first + self.at_once]
+
+    def counts(self) -> Tuple[int, int]:
+        """How many vertices and triangles there are."""
+        return len(self.xyz), len(self.corners)
 
 
-def _kept(lattice: Lattice, limit: int, parameters: SimplificationParameters) -> Kept:
-    """The cells and triangles of at most ``limit`` vertices of a lattice that has more."""
-    shape = -(-lattice.dataset.RasterYSize // lattice.step), -(-lattice.dataset.RasterXSize // lattice.step)
-    root = parameters.root_cells
-    while root < max(shape) - 1 and 4 * math.prod(-(-size // root) + 1 for size in shape) > limit:
-        root *= 2
-    heights = np.full([-(-(size - 1) // root) * root + 1 for size in shape], np.nan, np.float32)
-    for row, block in lattice.rows():
-        heights[row : row + len(block), : shape[1]] = block
+def reduced(
+    dataset: gdal.Dataset,
+    max_vertices: int,
+    parameters: SolidsParameters,
+    *,
+    progress: Progress,
+    paint: Optional[Paint] = None,
+) -> Tuple[Surface, int]:
+    """The painted surface of a DSM with at most ``max_vertices`` (0: no limit), and how many cells have a height.
+
+    Where a DSM has more cells than memory is planned for, the mesh is made of every second, third, ... row and column;
+    of still fewer where the rims of holes alone have more vertices than are wanted. Where the package pyfqmr is
+    missing, as many rows and columns as the limit allows are the mesh, which a warning says.
+    """
+    lattice, cells = thinned(Lattice(dataset, 1, parameters.mesh_block_cells, progress, paint))
+    if not max_vertices or cells <= max_vertices:
+        return lattice, cells
+    if importlib.util.find_spec("pyfqmr") is None:
+        progress.warn(
+            "The mesh has every second, third, ... row and column, because the package 'pyfqmr', which chooses better "
+            f"vertices, is missing. To have them, {INSTALL_REMEDY}."
+        )
+        return thinned(lattice, max_vertices)[0], cells
+    simple, every = parameters.simplification, dataset.RasterXSize * dataset.RasterYSize
+    step = math.ceil(math.sqrt(every / min(max(simple.cells, max_vertices), every)))
+    while replace(lattice, step=step).vertices() > max_vertices:
+        xyz, corners = _joined(replace(lattice, step=step), max_vertices, simple)
+        if len(xyz) > max_vertices:
+            xyz, corners = _collapsed(xyz, corners, max_vertices)
+        if len(corners) and len(xyz) <= max_vertices:
+            placed = _southward(_placed(dataset, xyz), corners)
+            return Simplified(dataset, *placed, parameters.mesh_block_cells, progress, paint), cells
+        step += math.ceil(step / 2)
+    return replace(lattice, step=step), cells
+
+
+def _joined(lattice: Lattice, limit: int, parameters: SimplificationParameters) -> Tuple[FloatArray, IntArray]:
+    """The simplified strips of rows as one mesh: (N, 3) column, row (in metres) and height, (M, 3) corners.
+
+    It has more vertices than the limit where all of it can be simplified once more within the planned memory.
+    """
+    heights = np.concatenate([block for _, block in lattice.rows()])
     cell_m = abs(lattice.dataset.GetGeoTransform()[1]) * lattice.step
-    errors = _errors(heights, root, cell_m, parameters, lattice.progress)
-    known = np.isfinite(heights)
-    ranked = errors[known]
-    rank = len(ranked) - limit - 1
-    ranked.partition(rank)
-    used = errors > max(ranked[rank], parameters.negligible_m2)
-    del ranked, errors
-    corners = _triangles(used, heights, root)
-    used[:] = False
-    used[corners[..., 0], corners[..., 1]] = True  # cells with only holes around them have no triangle
-    numbers = np.cumsum(used, dtype=np.int32).reshape(used.shape) - 1
-    return Kept(used[: shape[0], : shape[1]], numbers[corners[..., 0], corners[..., 1]])
+    share = (parameters.spare if limit <= parameters.joined else parameters.tight) * limit / np.isfinite(heights).sum()
+    lines = max(parameters.strip_cells // heights.shape[1], 2)
+    starts = range(0, max(len(heights) - 1, 1), lines)
+    done: List[Tuple[FloatArray, IntArray]] = []
+    for start in starts:
+        lattice.progress.check_cancelled()
+        xyz, corners = _strip(heights, start, lines, cell_m)
+        done.append(_collapsed(xyz, corners, math.ceil(share * len(xyz))))
+    xyz = np.concatenate([part for part, _ in done])
+    offsets = np.cumsum([0, *(len(part) for part, _ in done[:-1])])
+    corners = np.concatenate([part + offset for (_, part), offset in zip(done, offsets)])
+    return _welded(xyz, corners, np.array([start * cell_m for start in starts[1:]]))
 
 
-# Errors -----------------------------------------------------------------------------------------------------------
+def _strip(heights: FloatImage, start: int, lines: int, cell_m: float) -> Tuple[FloatArray, IntArray]:
+    """All vertices and triangles between so many rows and the next one; cells without a neighbour are left out."""
+    part = heights[start : start + lines + 1]
+    row, column, kind = square_triangles(part[:-1, :-1], part[:-1, 1:], part[1:, :-1], part[1:, 1:])
+    corners = TRIANGLES[kind]
+    places = (row[:, None] + corners[..., 0]) * part.shape[1] + column[:, None] + corners[..., 1]
+    used, numbers = np.unique(places, return_inverse=True)
+    row, column = np.divmod(used, part.shape[1])
+    xyz = np.column_stack([column * cell_m, (row + start) * cell_m, part[row, column]])
+    return xyz, numbers.reshape(corners.shape[:2])
 
 
-def _errors(
-    heights: FloatImage, root: int, cell_m: float, parameters: SimplificationParameters, progress: Progress
-) -> FloatImage:
-    """The error of each cell, m2; corners of the coarsest squares, of ``root`` cells a side, have an infinite one."""
-    found = np.zeros(heights.shape, np.float32)
-    for row in range(0, heights.shape[0] - 1, root):
-        progress.check_cancelled()
-        above = min(row, 1)
-        part = heights[row - above : row + root + 2]
-        strip = _Strip(part[above : above + root + 1], _steepness(part, cell_m)[above : above + root, :-1])
-        half = 1
-        while half < root:
-            strip.add(found[row : row + root + 1], half, parameters.lost * (2 * half * cell_m) ** 2)
-            half *= 2
-    found[::root, ::root] = np.inf
-    half = 1
-    while half < root:
-        _contain(found, half)
-        half *= 2
-    return found
+def _collapsed(xyz: FloatArray, corners: IntArray, limit: int) -> Tuple[FloatArray, IntArray]:
+    """At most about ``limit`` of the vertices, with those of all rims.
+
+    A collapsed edge within the mesh takes one vertex and two triangles, which tells how many triangles to leave.
+    """
+    import pyfqmr
+
+    triangles = len(corners) - 2 * (len(xyz) - limit)
+    if triangles >= len(corners) or not len(corners):
+        return xyz, corners
+    mesh = pyfqmr.Simplify()
+    mesh.setMesh(xyz, corners.astype(np.int32))
+    mesh.simplify_mesh(target_count=max(triangles, 1), preserve_border=True, verbose=False)
+    found, faces, _ = mesh.getMesh()
+    used, numbers = np.unique(faces, return_inverse=True)
+    return found[used], numbers.reshape(faces.shape)
 
 
-def _steepness(heights: FloatImage, cell_m: float) -> FloatImage:
-    """Squared distance from a slope by squared difference of height, by the largest step to a neighbour: on a wall, a
-    mesh that is metres too low is decimetres away. Cells without a height do not count."""
-    rise = np.zeros(heights.shape, np.float32)
-    for a, b in (((slice(-1),), (slice(1, None),)), ((slice(None), slice(-1)), (slice(None), slice(1, None)))):
-        step = np.nan_to_num(np.abs(heights[b] - heights[a]))
-        for place in (a, b):
-            np.maximum(rise[place], step, out=rise[place])
-    weights: FloatImage = np.where(np.isfinite(heights), 1 / (1 + (rise / np.float32(cell_m)) ** 2), np.float32(0))
-    return weights
+def _welded(xyz: FloatArray, corners: IntArray, seams: FloatArray) -> Tuple[FloatArray, IntArray]:
+    """The mesh whose vertices on the rows between strips, which both strips have, are one."""
+    on_seam = np.isin(xyz[:, 1], seams)
+    places, first, numbers = np.unique(xyz[on_seam], axis=0, return_index=True, return_inverse=True)
+    renumbered = np.empty(len(xyz), np.int64)
+    inner = int((~on_seam).sum())
+    renumbered[~on_seam] = np.arange(inner)
+    renumbered[on_seam] = inner + numbers.ravel()
+    return np.concatenate([xyz[~on_seam], places]), renumbered[corners]
 
 
-class _Strip:
-    """A row of the coarsest squares: what cells lie away from the triangles of a level."""
-
-    def __init__(self, heights: FloatImage, weights: FloatImage) -> None:
-        known = np.isfinite(heights)
-        self._known, self._weights = known, weights
-        self._heights = np.where(known, heights, np.float32(0))
-        self._broken = ~(known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:])
-
-    def add(self, found: FloatImage, half: int, lost: float) -> None:
-        """Add the errors of the middles of squares of twice ``half`` a side, and of the middles of their sides."""
-        side = 2 * half
-        corners, known = _corners(self._heights, side), _corners(self._known, side)
-        a, b, c, d = (_spread(corner, side) for corner in corners)
-        u, v = (np.tile(np.arange(side, dtype=np.float32) / side, size // side) for size in a.shape)
-        u, v = u[:, None], v[None]
-        upper, first = u <= v, u + v < 1
-        # The square's two halves: their diagonal goes through the middle of the next larger square.
-        even = np.indices(corners[0].shape).sum(axis=0) % 2 == 0
-        falling = _spread(even, side)
-        near = np.where(falling, upper, first)
-        lines = np.where(upper, a + (b - a) * v + (d - b) * u, a + (c - a) * u + (d - c) * v)
-        others = np.where(first, a + (b - a) * v + (c - a) * u, d + (c - d) * (1 - v) + (b - d) * (1 - u))
-        away = self._away(np.where(falling, lines, others))
-        ends = known[0] & known[1] & np.where(even, known[3], known[2])
-        found[half::side, half::side] = self._sums(near, away, ends, side, lost)
-        ends = known[2] & known[3] & np.where(even, known[0], known[1])
-        found[half::side, half::side] += self._sums(~near, away, ends, side, lost)
-        # The square's four quarters, which meet in its middle.
-        middle = _spread(self._heights[half::side, half::side], side)
-        p, q, flat = np.where(first, a, d), np.where(upper, b, c), upper == first
-        along, inwards = np.where(flat, v, u), np.where(flat, u, v)
-        along, inwards = np.where(first, along, 1 - along), 2 * np.where(first, inwards, 1 - inwards)
-        away = self._away(p + (q - p) * along + (middle - (p + q) / 2) * inwards)
-        inner = self._known[half::side, half::side]
-        for part, ends, place in (
-            (upper & first, known[0] & known[1], found[0:-1:side, half::side]),
-            (~upper & ~first, known[2] & known[3], found[side::side, half::side]),
-            (~upper & first, known[0] & known[2], found[half::side, 0:-1:side]),
-            (upper & ~first, known[1] & known[3], found[half::side, side::side]),
-        ):
-            place += self._sums(part, away, ends & inner, side, lost / 2)
-
-    def _away(self, surface: FloatImage) -> FloatImage:
-        away: FloatImage = self._weights * (self._heights[:-1, :-1] - surface) ** 2
-        return away
-
-    def _sums(self, part: Mask, away: FloatImage, whole: Mask, side: int, lost: float) -> FloatImage:
-        """Sums over a part of each square; where a hole reaches into it, its cells are ``lost`` with it."""
-        holed = (_summed(part & self._broken, side, np.int32) > 0) | ~whole
-        gone = _summed(part & self._known[:-1, :-1], side, np.int32) * np.float32(lost)
-        sums: FloatImage = np.where(holed, gone, _summed(part * away, side, np.float32))
-        return sums
+def _placed(dataset: gdal.Dataset, xyz: FloatArray) -> FloatArray:
+    """(N, 3) metres right of and below the middle of the first cell, and heights, in the DSM's CRS."""
+    x0, cell_x, _, y0, _, cell_y = dataset.GetGeoTransform()
+    return np.column_stack([x0 + cell_x / 2 + xyz[:, 0], y0 + cell_y / 2 - xyz[:, 1], xyz[:, 2]])
 
 
-def _corners(values: NDArray[Any], side: int) -> List[NDArray[Any]]:
-    """Corners of all squares of a side: upper left, upper right, lower left, lower right."""
-    grid = values[::side, ::side]
-    return [grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]]
-
-
-def _spread(values: NDArray[Any], side: int) -> NDArray[Any]:
-    """Each square's value in all of its cells."""
-    return np.repeat(np.repeat(values, side, axis=0), side, axis=1)
-
-
-def _summed(values: NDArray[Any], side: int, kind: type) -> NDArray[Any]:
-    """Sums over the cells of each square."""
-    rows = np.add.reduceat(values, np.arange(0, values.shape[0], side), axis=0, dtype=kind)
-    return np.add.reduceat(rows, np.arange(0, values.shape[1], side), axis=1)
-
-
-def _contain(errors: FloatImage, half: int) -> None:
-    """Make the errors of squares' middles not less than those of their sides', and of their corners than theirs."""
-    side = 2 * half
-    middles, corners = errors[half::side, half::side], errors[::side, ::side]
-    across, down = errors[::side, half::side], errors[half::side, ::side]
-    for sides in (across[:-1], across[1:], down[:, :-1], down[:, 1:]):
-        np.maximum(middles, sides, out=middles)
-    around = np.pad(middles, 1)
-    for part in (around[:-1, :-1], around[:-1, 1:], around[1:, :-1], around[1:, 1:]):
-        np.maximum(corners, part, out=corners)
-
-
-# Triangles --------------------------------------------------------------------------------------------------------
-
-
-def _triangles(used: Mask, heights: FloatImage, root: int) -> Places:
-    """(N, 3, 2) row and column of the corners of all triangles that lie on no hole, counter-clockwise from above."""
-    known = np.isfinite(heights)
-    rows, columns = ((size - 1) // root for size in used.shape)
-    row, column = (places.ravel().astype(np.int32) for places in np.indices((rows, columns)))
-    a, b, c, d = (np.stack([row + down, column + right], axis=-1) * root for down in (0, 1) for right in (0, 1))
-    falling = ((row + column) % 2 == 0)[:, None]
-    # The right angle's corner first.
-    level = np.concatenate(
-        [
-            np.stack([np.where(falling, b, a), np.where(falling, a, c), np.where(falling, d, b)], axis=1),
-            np.stack([np.where(falling, c, d), np.where(falling, d, b), np.where(falling, a, c)], axis=1),
-        ]
-    )
-    done: List[Places] = []
-    while len(level):
-        if np.abs(level[0, 1] - level[0, 0]).sum() == 1:  # no cell is between two neighbours
-            done += _smallest(level, heights)
-            break
-        middle = (level[:, 1] + level[:, 2]) // 2
-        split = used[middle[:, 0], middle[:, 1]]
-        done.append(_whole(level[~split], known))
-        parent, middle = level[split], middle[split]
-        level = np.concatenate([np.stack([middle, parent[:, n], parent[:, m]], axis=1) for n, m in ((0, 1), (2, 0))])
-    return np.concatenate(done)
-
-
-def _smallest(level: Places, heights: FloatImage) -> List[Places]:
-    """Halves of squares between four neighbours; of whole ones, the triangles that the mesh of all cells has."""
-    place = level.min(axis=1)
-    _, first, number, count = np.unique(
-        place[:, 0].astype(np.int64) * heights.shape[1] + place[:, 1],
-        return_index=True,
-        return_inverse=True,
-        return_counts=True,
-    )
-    halves = _whole(level[count[number.ravel()] == 1], np.isfinite(heights))
-    row, column = place[first[count == 2]].T
-    square, kind = square_triangles(*(heights[row + down, column + right] for down in (0, 1) for right in (0, 1)))
-    return [halves, np.stack([row, column], axis=-1)[square][:, None] + TRIANGLES[kind].astype(np.int32)]
-
-
-def _whole(level: Places, known: Mask) -> Places:
-    """Those of equally large triangles below which all cells have heights."""
-    level = level[known[level[..., 0], level[..., 1]].all(axis=1)]
-    if not len(level):
-        return level
-    legs = level[:, 1:] - level[:, :1]
-    length = int(np.abs(legs[0, 0]).max())
-    along, across = np.indices((2 * length + 1, 2 * length + 1)).reshape(2, -1)  # of the legs, in halves of cells
-    odd = (along % 2, across % 2)
-    inside = (odd[0] == odd[1]) if legs[0, 0].all() else (odd[0] + odd[1] == 0)
-    inside &= along + across <= 2 * length
-    steps = np.stack([along[inside], across[inside]])
-    whole = np.empty(len(level), dtype=bool)
-    many = max(_GATHERED // steps.shape[1], 1)
-    for start in range(0, len(level), many):
-        part = slice(start, start + many)
-        row, column = (level[part, 0, n, None] + (legs[part, :, n] // length) @ steps // 2 for n in (0, 1))
-        whole[part] = known[row, column].all(axis=1)
-    found: Places = level[whole]
-    return found
+def _southward(xyz: FloatArray, corners: IntArray) -> Tuple[FloatArray, IntArray]:
+    """The same mesh with vertices from the north to the south: colours are then read row by row."""
+    order = np.lexsort((xyz[:, 0], -xyz[:, 1]))
+    numbers = np.empty(len(order), np.int64)
+    numbers[order] = np.arange(len(order))
+    return xyz[order], numbers[corners]

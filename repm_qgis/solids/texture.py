@@ -8,27 +8,27 @@ from typing import List
 import numpy as np
 from osgeo import gdal
 
-from ..contracts.arrays import FloatArray, FloatImage, Window
-from .lattice import Lattice
+from ..contracts.arrays import FloatArray, Window
+from .lattice import Surface
 from .painting import Colours, Paint
 
 _LONGEST_PX = 4096  # of the picture's sides: what graphics cards of phones still take; chosen
 _JPEG_QUALITY = 90  # chosen
 
 
-def middle(lattice: Lattice) -> FloatArray:
+def middle(surface: Surface) -> FloatArray:
     """(3,) x, y and 0 of the middle of the DSM, in whole metres: heights stay what they are."""
-    x0, cell_x, _, y0, _, cell_y = lattice.dataset.GetGeoTransform()
-    width, height = lattice.dataset.RasterXSize, lattice.dataset.RasterYSize
+    x0, cell_x, _, y0, _, cell_y = surface.dataset.GetGeoTransform()
+    width, height = surface.dataset.RasterXSize, surface.dataset.RasterYSize
     return np.array([round(x0 + cell_x * width / 2), round(y0 + cell_y * height / 2), 0.0])
 
 
-def picture_places(lattice: Lattice, first: int, block: FloatImage) -> FloatArray:
-    """(N, 2) places of a block's vertices in the picture, 0..1 to the right and down."""
-    dataset = lattice.paint.dataset if lattice.paint is not None else lattice.dataset
+def picture_places(surface: Surface, places: FloatArray) -> FloatArray:
+    """(N, 2) places of vertices (N, 3) in the picture, 0..1 to the right and down."""
+    dataset = surface.paint.dataset if surface.paint is not None else surface.dataset
     x0, cell_x, _, y0, _, cell_y = dataset.GetGeoTransform()
     width, height = dataset.RasterXSize, dataset.RasterYSize
-    x, y, _ = lattice.places(first, block).T
+    x, y, _ = places.T
     return np.column_stack([(x - x0) / (cell_x * width), (y - y0) / (cell_y * height)])
 
 

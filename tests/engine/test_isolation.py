@@ -43,7 +43,7 @@ LIGHT = [
 def test_light_stages_and_the_registry_need_only_what_qgis_ships(module):
     """numpy, GDAL, pyproj and jinja2: these modules run in QGIS's own process, where the wheels may be missing."""
     done = python(
-        "import sys\nfor name in ('cv2', 'pycolmap', 'laspy', 'lazrs', 'open3d', 'scipy', 'qgis'):\n"
+        "import sys\nfor name in ('cv2', 'pycolmap', 'laspy', 'lazrs', 'pyfqmr', 'open3d', 'scipy', 'qgis'):\n"
         f"    sys.modules[name] = None\nimport repm_qgis.{module}"
     )
     assert done.returncode == 0, done.stderr

@@ -17,6 +17,7 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 WHEELS = {"opencv_python_headless": ("cv2", "4.9"), "pycolmap": ("pycolmap", "4.0"), "laspy": ("laspy", "2.6")}
 WHEELS["lazrs"] = ("lazrs", "0.7")
+WHEELS["pyfqmr"] = ("pyfqmr", "0.5")
 _own = subprocess.run(["/usr/bin/python3", "-c", "import cv2"], capture_output=True, check=False).returncode == 0
 pytestmark = pytest.mark.skipif(_own, reason="QGIS's own Python has OpenCV here, so nothing is missing")
 

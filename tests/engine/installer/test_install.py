@@ -30,6 +30,7 @@ ROOT = Path(__file__).resolve().parents[3]
 PYTHON = base_program()
 WHEELS = {"opencv_python_headless": ("cv2", "4.9"), "pycolmap": ("pycolmap", "4.0"), "laspy": ("laspy", "2.6")}
 WHEELS["lazrs"] = ("lazrs", "0.7")
+WHEELS["pyfqmr"] = ("pyfqmr", "0.5")
 
 
 def wheel(folder, name, module, version, code="answer = 42\n"):

@@ -145,7 +145,7 @@ def test_proj_grids_are_looked_for_where_proj_looks(found, tmp_path, monkeypatch
 def test_the_survey_imports_none_of_the_heavy_packages():
     code = (
         "import sys; from repm_qgis.runtime.environment import survey; survey();"
-        "print(sorted(set(sys.modules) & {'cv2', 'pycolmap', 'laspy', 'lazrs', 'qgis'}))"
+        "print(sorted(set(sys.modules) & {'cv2', 'pycolmap', 'laspy', 'lazrs', 'pyfqmr', 'qgis'}))"
     )
     done = subprocess.run(
         [sys.executable, "-c", code],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import re
@@ -118,53 +119,51 @@ def town(rows, columns, seed=0):
 
 
 def cells_of(vertices):
-    """Row and column of vertices in their DSM."""
-    return (
-        np.rint((TRANSFORM[3] - vertices[:, 1]) / 0.5 - 0.5).astype(int),
-        np.rint((vertices[:, 0] - TRANSFORM[0]) / 0.5 - 0.5).astype(int),
-    )
+    """Row and column of vertices in their DSM, with fractions where they lie between cells."""
+    return (TRANSFORM[3] - vertices[:, 1]) / 0.5 - 0.5, (vertices[:, 0] - TRANSFORM[0]) / 0.5 - 0.5
 
 
 def drawn(vertices, faces, shape):
-    """The mesh's height on each cell's centre, NaN where there is no triangle, and triangles on each inner point."""
+    """The highest height on each cell's centre, NaN without a triangle, and how many triangles lie on inner points."""
     row, column = cells_of(vertices)
     heights, times = np.full(shape, np.nan), np.zeros((shape[0] - 1, shape[1] - 1), dtype=int)
     for corners in faces:
         r, c, z = row[corners], column[corners], vertices[corners, 2]
+        whole = (c[1] - c[0]) * (r[2] - r[0]) - (c[2] - c[0]) * (r[1] - r[0])
+        if abs(whole) < 1e-9:
+            continue
         for inner, (shift_r, shift_c) in enumerate(((0.0, 0.0), (0.3, 0.6))):  # centres, and points on no side
-            i, j = np.mgrid[r.min() : r.max() + 1 - inner, c.min() : c.max() + 1 - inner]
+            lines = (range(max(int(np.floor(k.min())), 0), int(np.ceil(k.max() + 1e-9)) + 1) for k in (r, c))
+            i, j = np.meshgrid(*lines, indexing="ij")
+            fits = (i < shape[0] - inner) & (j < shape[1] - inner)
+            i, j = i[fits], j[fits]
             y, x = i + shift_r, j + shift_c
-            whole = (c[1] - c[0]) * (r[2] - r[0]) - (c[2] - c[0]) * (r[1] - r[0])
             second = ((x - c[0]) * (r[2] - r[0]) - (c[2] - c[0]) * (y - r[0])) / whole
             third = ((c[1] - c[0]) * (y - r[0]) - (x - c[0]) * (r[1] - r[0])) / whole
             inside = (second >= -1e-9) & (third >= -1e-9) & (second + third <= 1 + 1e-9)
+            i, j = i[inside], j[inside]
             if inner:
-                times[i[inside], j[inside]] += 1
+                times[i, j] += 1
             else:
-                at = z[0] + (z[1] - z[0]) * second + (z[2] - z[0]) * third
-                heights[i[inside], j[inside]] = at[inside]
+                heights[i, j] = np.fmax(heights[i, j], (z[0] + (z[1] - z[0]) * second + (z[2] - z[0]) * third)[inside])
     return heights, times
 
 
 def assert_sound(vertices, faces, heights):
-    """No crack, no fold, no triangle on a hole, and vertices are cells; gives the mesh's heights and what it covers."""
-    row, column = cells_of(vertices)
-    np.testing.assert_array_equal(vertices[:, 2], heights[row, column].astype(np.float32))
-    assert (areas(vertices, faces) > 0).all()
+    """No crack, hardly a fold, no triangle on a hole, rims of cells; gives the mesh's heights and what it covers."""
+    assert (areas(vertices, faces) < -1e-9).mean() < 0.015
     edges = np.concatenate([faces[:, [n, (n + 1) % 3]] for n in range(3)])
     assert len(np.unique(edges, axis=0)) == len(edges)  # two triangles on an edge have it in opposite directions
-    vertex = np.zeros(heights.shape, dtype=bool)
-    vertex[row, column] = True
-    for a, b in edges:  # a vertex between the ends of an edge would be a crack
-        inner = max(abs(row[a] - row[b]), abs(column[a] - column[b])) + 1
-        assert (
-            vertex[
-                np.linspace(row[a], row[b], inner, dtype=int), np.linspace(column[a], column[b], inner, dtype=int)
-            ].sum()
-            == 2
-        )
+    both = {tuple(edge) for edge in edges.tolist()}
+    rim = np.unique([edge for edge in both if edge[::-1] not in both])
+    row, column = (np.rint(place).astype(int) for place in cells_of(vertices[rim]))
+    np.testing.assert_allclose(cells_of(vertices[rim]), (row, column), atol=1e-6)
+    np.testing.assert_array_equal(vertices[rim, 2], heights[row, column].astype(np.float32))
+    beside = np.pad(np.isfinite(heights), 1)  # a rim's vertex lies beside a hole, or on the DSM's rim: no cracks
+    around = [beside[row + dr, column + dc] for dr in range(3) for dc in range(3)]
+    assert not np.all(around, axis=0).any()
     shown, times = drawn(vertices, faces, heights.shape)
-    assert times.max() == 1 and not np.isfinite(shown[~np.isfinite(heights)]).any()
+    assert (times > 1).mean() < 0.02 and not np.isfinite(shown[~np.isfinite(heights)]).any()
     return shown, times
 
 
@@ -183,13 +182,13 @@ def test_fewer_vertices_cover_the_surface_once_without_cracks(tmp_path, shape):
     heights += np.random.default_rng(5).normal(0, 0.05, shape)
     for limit in (shape[0] * shape[1] // 2, 2500):
         vertices, faces = simplified(tmp_path, heights, limit)
-        assert len(vertices) > 0.9 * limit
+        assert len(vertices) > 0.99 * limit
         shown, times = assert_sound(vertices, faces, heights)
-        assert (times == 1).mean() > 0.999
+        assert (times >= 1).mean() > 0.999
         # The cells that are not where they belong are fewer than with every n-th row and column.
         step = next(n for n in range(2, 99) if heights[::n, ::n].size <= limit)
         coarser = map_coordinates(heights[::step, ::step], np.indices(shape) / step, order=1, mode="nearest")
-        assert (np.abs(shown - heights) > 0.3).sum() < 0.6 * (np.abs(coarser - heights) > 0.3).sum()
+        assert (np.abs(shown - heights) > 0.3).sum() < 0.3 * (np.abs(coarser - heights) > 0.3).sum()
 
 
 def test_holes_stay_open_in_a_simplified_mesh(tmp_path):
@@ -198,28 +197,52 @@ def test_holes_stay_open_in_a_simplified_mesh(tmp_path):
     heights[30:60, 20:70] = heights[90:, 100:] = np.nan
     heights[numbers.integers(0, 120, 40), numbers.integers(0, 150, 40)] = np.nan
     known = np.isfinite(heights)
-    for limit in (6000, 1500):
-        shown, _ = assert_sound(*simplified(tmp_path, heights, limit), heights)
-        assert np.isfinite(shown)[known].mean() > (0.99 if limit == 6000 else 0.9)
+    shown, _ = assert_sound(*simplified(tmp_path, heights, 6000), heights)
+    assert np.isfinite(shown)[known].mean() > 0.99
+    # Rims alone have more vertices than these, so rows and columns are left out.
+    vertices, faces = simplified(tmp_path, heights, 1000)
+    assert not np.isfinite(drawn(vertices, faces, heights.shape)[0][32:58, 22:68]).any() and len(vertices) > 990
 
 
-def test_a_plane_needs_next_to_nothing(tmp_path):
-    row, column = np.mgrid[0:257, 0:513]
+def test_a_plane_stays_a_plane(tmp_path):
+    row, column = np.mgrid[0:97, 0:133]
     for heights in (np.full(row.shape, 7.0), 123 + 0.137 * row + 0.0731 * column):
-        vertices, faces = simplified(tmp_path, heights, 50000)
-        assert len(vertices) == 6 and len(faces) == 4
-        assert areas(vertices, faces).sum() == pytest.approx(256 * 512 * 0.25)
+        vertices, faces = simplified(tmp_path, heights, 2000)
+        assert areas(vertices, faces).min() > 0 and areas(vertices, faces).sum() == pytest.approx(96 * 132 * 0.25)
+        down, right = cells_of(vertices)
+        expected = heights[0, 0] + down * (heights[1, 0] - heights[0, 0]) + right * (heights[0, 1] - heights[0, 0])
+        np.testing.assert_allclose(vertices[:, 2], expected, atol=2e-5)  # a DSM's heights are single precision
 
 
 def test_steps_stay_sharp_where_few_vertices_are_left(tmp_path):
-    """A block on level ground takes vertices around it alone, and its wall is one cell wide."""
+    """A block on level ground takes vertices around it and on the DSM's rim, and its wall is one cell wide."""
     heights = np.full((257, 257), 10.0)
     heights[60:131, 90:201] = 40.0
-    vertices, faces = simplified(tmp_path, heights, 4000)
-    np.testing.assert_array_equal(assert_sound(vertices, faces, heights)[0], heights)
-    row, column = cells_of(vertices)
-    near = np.maximum(np.maximum(60 - row, row - 130), np.maximum(90 - column, column - 200))
-    assert (np.abs(near) <= 8).mean() > 0.8 and len(vertices) < 1400  # the wall goes round 364 cells
+    vertices, faces = simplified(tmp_path, heights, 2500)
+    np.testing.assert_allclose(assert_sound(vertices, faces, heights)[0], heights, atol=1e-3)
+
+
+def test_strips_join_without_cracks_and_leave_no_lines(tmp_path):
+    heights, _ = town(120, 150)
+    heights += np.random.default_rng(6).normal(0, 0.05, heights.shape)
+    heights[50:70, 20:40] = np.nan
+    off = {}
+    for cells in (150 * 30, 1 << 18):
+        small = replace(SOLIDS, simplification=replace(SOLIDS.simplification, strip_cells=cells))
+        shown, _ = assert_sound(*simplified(tmp_path, heights, 6000, parameters=small), heights)
+        known = np.isfinite(shown)
+        assert known.sum() > 0.999 * np.isfinite(heights).sum()
+        off[cells] = np.sqrt(np.mean((shown - heights)[known] ** 2))
+    assert off[150 * 30] < 1.1 * off[1 << 18]
+
+
+def test_without_the_package_rows_and_columns_are_left_out(tmp_path, monkeypatch, told):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    heights, said = town(80, 90)[0], told()
+    facts = write_mesh(dsm_of(tmp_path / "d.tif", heights), str(tmp_path / "m.ply"), 2000, said)
+    _, vertices, _ = read_ply(tmp_path / "m.ply")
+    assert facts.vertices == 40 * 45 and not (np.array(cells_of(vertices)) % 2).any()
+    assert "package 'pyfqmr', which chooses better vertices, is missing" in said.warnings[0]
 
 
 @pytest.mark.parametrize("limit", (1, 3, 10))
@@ -244,7 +267,9 @@ def test_simplified_meshes_of_all_kinds_are_one_surface_with_its_picture(tmp_pat
     row, column = cells_of(vertices)
     body = (tmp_path / "m.ply").read_bytes().split(b"end_header\n", 1)[1]
     colours = np.frombuffer(body, np.dtype([("place", "<f8", 3), ("colour", "u1", 3)]), len(vertices))["colour"]
-    np.testing.assert_array_equal(colours, np.where((column < 45)[:, None], (200, 90, 30), (20, 90, 180)))
+    shown = np.where((column < 44.5)[:, None], (200, 90, 30), (20, 90, 180))
+    clear = np.abs(column - 44.5) > 0.1
+    np.testing.assert_array_equal(colours[clear], shown[clear])
     dsm, ortho = str(tmp_path / "d.tif"), str(tmp_path / "o.tif")
     write_mesh(dsm, str(tmp_path / "m.glb"), 900, ortho=ortho)
     _, positions, places, triangles, picture = read_glb(tmp_path / "m.glb")
@@ -263,8 +288,9 @@ def test_vertices_of_a_large_dsm_are_chosen_from_fewer_rows_and_columns(tmp_path
     heights, _ = town(200, 260)
     small = replace(SOLIDS, simplification=replace(SOLIDS.simplification, cells=200 * 260 // 4))
     vertices, _ = simplified(tmp_path, heights, 3000, parameters=small)
-    row, column = cells_of(vertices)
-    assert not (row % 2).any() and not (column % 2).any() and len(vertices) > 2700
+    rim = np.isin(np.array(cells_of(vertices)), (0, 198, 258)).any(axis=0)  # of every second row and column
+    assert not (np.array(cells_of(vertices))[:, rim] % 1).any() and len(vertices) > 2970
+    assert np.isclose(vertices[:, 0].max(), 500000.25 + 0.5 * 258) and np.isclose(vertices[:, 1].min(), 4799999.75 - 99)
 
 
 @pytest.mark.parametrize("cells", (1, 300, 3000))
