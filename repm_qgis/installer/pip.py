@@ -9,6 +9,8 @@ import queue
 import re
 import subprocess  # nosec B404 # see its uses
 import threading
+import zipfile
+import zlib
 from typing import IO, Callable, Deque, Dict, List, Optional, Sequence
 
 from ..contracts.errors import MissingPackageError, RepmError, WorkspaceError
@@ -238,9 +240,8 @@ def failure(lines: Sequence[str], code: int, proxy: str, wheels: str) -> RepmErr
             "choose a folder of wheels."
         )
     if any(_DAMAGED.search(line) for line in lines):
-        wheel = next((words[1] for words in map(str.split, reversed(lines)) if words[:1] == ["Processing"]), "")
-        if wheels:
-            name = os.path.basename(wheel)
+        name = _damaged_wheel(wheels) if wheels else ""
+        if name:
             return MissingPackageError(f"The wheel '{name}' in '{wheels}' is damaged ({said}): get it again.")
         return MissingPackageError(f"A package came damaged over the network ({said}): install again.")
     absent = _NONE.search(text)
@@ -250,6 +251,22 @@ def failure(lines: Sequence[str], code: int, proxy: str, wheels: str) -> RepmErr
         where = f"the folder '{wheels}'" if wheels else "the package index"
         return MissingPackageError(f"No wheel of {name} for this Python and system is in {where}: {remedy}.")
     return MissingPackageError(f"pip could not install the packages ({said}): the log says more.")
+
+
+def _damaged_wheel(folder: str) -> str:
+    """The first wheel of a folder that is cut or has other bits than its checksums say, "" for none.
+
+    pip unpacks wheels long after it has named them, and its messages do not say of which a file is.
+    """
+    for path in sorted(glob.glob(os.path.join(glob.escape(folder), "*.whl"))):
+        try:
+            with zipfile.ZipFile(path) as wheel:
+                if wheel.testzip() is None:
+                    continue
+        except (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError):
+            pass
+        return os.path.basename(path)
+    return ""
 
 
 def _reason(pattern: "re.Pattern[str]", lines: Sequence[str]) -> str:

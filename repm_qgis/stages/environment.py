@@ -57,11 +57,11 @@ def _changed(options: EnvironmentOptions, progress: Progress) -> Dict[str, Any]:
 
 
 def _by_remedy(found: Dict[str, Any]) -> List[Tuple[str, str]]:
-    """What is missing, "a (for this), b (for that)", with what installs it."""
+    """What is missing, "a: for this; b: for that", with what installs it."""
     named: Dict[str, List[str]] = {}
     for entry in found["missing"]:
-        named.setdefault(entry["remedy"], []).append(f"{entry['package']} ({entry['purpose']})")
-    return [(", ".join(names), remedy) for remedy, names in named.items()]
+        named.setdefault(entry["remedy"], []).append(f"{entry['package']}: {entry['purpose']}")
+    return [("; ".join(names), remedy) for remedy, names in named.items()]
 
 
 def _report(found: Dict[str, Any]) -> Report:

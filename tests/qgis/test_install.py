@@ -105,7 +105,7 @@ def test_the_desktop_offers_installs_and_removes(plugin, desktop_start, wheels):
     )  # with the model: all of them are shown where packages are missing
     assert (found["state"], found["offered"]) == ("missing", ["Install the packages…"])
     assert [name.split(">")[0] for name in found["packages"]] == [name.replace("_", "-") for name in WHEELS]
-    assert "about 89 MB" in found["where"] and "profiles/default/repm/engine-" in found["where"]
+    assert "about 90 MB" in found["where"] and "profiles/default/repm/engine-" in found["where"]
     assert "about 0 MB" in found["where then"]
     assert found["enabled while running"] == [False, True]
     assert found["ended"].startswith("The packages are installed"), found["log"]
@@ -129,7 +129,7 @@ def test_cancel_in_the_desktop_leaves_nothing(desktop_start, wheels, monkeypatch
 
 
 @desktop
-@pytest.mark.skipif(not os.environ.get("REPM_FIRST_HOUR"), reason="downloads 89 MB: set REPM_FIRST_HOUR=1 to run it")
+@pytest.mark.skipif(not os.environ.get("REPM_FIRST_HOUR"), reason="downloads 90 MB: set REPM_FIRST_HOUR=1 to run it")
 def test_from_the_zip_to_a_dsm_in_seven_clicks(desktop_start, tmp_path):
     """The pictures of docs/guide.md come from here: REPM_KEEP_PICTURES=FOLDER."""
     subprocess.run(

@@ -168,7 +168,7 @@ def test_it_installs_from_the_index_says_what_and_finds_its_work_again(index, ho
     assert install(PYTHON, folder, heard) is True
     assert answers(folder) == "42" and answers(folder, "lazrs") == "42"
     before = heard.notes[0]
-    for words in ("pycolmap>=", "(about 89 MB to download)", f"into '{folder}'", "MB are free there", PYTHON):
+    for words in ("pycolmap>=", "(about 90 MB to download)", f"into '{folder}'", "MB are free there", PYTHON):
         assert words in before, before
     assert environments.usable([str(home)], [PYTHON], ROOT / "tests") == folder
     known = json.loads((Path(folder) / "repm-environment.json").read_text())
