@@ -11,6 +11,7 @@ import pytest
 from repm_qgis.contracts.data_folder import DATA_FOLDER
 from repm_qgis.contracts.errors import OptionError
 from repm_qgis.reports.report import Report
+from repm_qgis.runtime.packages import PACKAGES
 from repm_qgis.runtime.progress import JsonLines
 from repm_qgis.runtime.translation import Translator, reader, said, written_in
 
@@ -110,3 +111,12 @@ def test_the_engines_lines_are_said_in_the_jobs_language(german):
     lines.warn("Done")
     texts = [json.loads(line)["text"] for line in stream.getvalue().splitlines()]
     assert texts == ["2 Kacheln, bis 5 px groß", "Fertig", "Fertig"]
+
+
+def test_what_is_missing_is_german_with_what_it_is_for():
+    """A machine that lacks a package is rare, so no run of the other tests shows these sentences."""
+    german = Translator.of("de")
+    for package in PACKAGES:
+        text = f"Not installed: {package.distribution}: {package.purpose}; {package.distribution}: {package.purpose}."
+        said = german.translate(text)
+        assert said.startswith(f"Nicht installiert: {package.distribution}: ") and package.purpose not in said

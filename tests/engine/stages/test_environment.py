@@ -32,7 +32,7 @@ def test_what_is_missing_is_warned_of_with_its_remedy(tmp_path, monkeypatch):
     result = run_stage("environment", {"report": str(report)}, heard)
     assert heard.warnings == [
         "Not installed: pycolmap: tie points; laspy: points. To install what is missing, choose this.",
-        "Not installed: scipy (more). To install what is missing, run 'that'.",
+        "Not installed: scipy: more. To install what is missing, run 'that'.",
     ]
     page = plain(report.read_text(encoding="utf-8"))
     assert "Not installed: pycolmap: tie points; laspy: points." in page and "choose this." in page
