@@ -33,7 +33,7 @@ PACKAGES = (
     Package("numpy", "numpy", "python3-numpy", "all arithmetic"),
     Package("osgeo", "GDAL", "python3-gdal", "reading and writing rasters and vectors"),
     Package("pyproj", "pyproj", "python3-pyproj", "map projections and datums"),
-    Package("jinja2", "Jinja2", "python3-jinja2", "reports", 0.2, 1.0),
+    Package("jinja2", "Jinja2", "python3-jinja2", "pages of reports", 0.2, 1.0),
     Package("scipy", "scipy", "python3-scipy", "tie points, simulated scenes", 36.0, 115.0),
     Package("cv2", "opencv-python-headless", "", "keypoints, semi-global matching, resampling", 50.0, 144.0),
     Package("pycolmap", "pycolmap", "", "tie points, bundle adjustment, matching on CUDA", 38.2, 142.0),
