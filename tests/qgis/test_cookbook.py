@@ -301,4 +301,4 @@ def test_the_whole_book_is_quick():
     if len(SPENT) < 1 + len(TASKS):
         pytest.skip(f"only {len(SPENT)} of {1 + len(TASKS)} parts were run in this session")
     # Against what precedes all tasks, the sample images and their DSM: seconds depend on the processor.
-    assert sum(SPENT.values()) < 15 * SPENT["before"], SPENT
+    assert sum(SPENT.values()) < 0.75 * len(TASKS) * SPENT["before"], SPENT  # 15 times of it for twenty tasks
