@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 PYTHON := .venv/bin/python
 
-.PHONY: help setup demo test test-slow test-all bench bench-faults fuzz mutation identity lint lint-viewer scan site package models i18n pictures clean
+.PHONY: help setup demo test test-slow test-all bench bench-faults fuzz mutation identity lint lint-viewer tiles3d-tools scan site package models i18n pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z0-9%-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -55,6 +55,10 @@ lint-viewer: ## the scripts of the viewer's page: rules and format (Biome), and 
 		npm install --silent --no-package-lock --prefix $(LINT) && touch $(LINT)/node_modules; } || \
 		{ echo "lint: the scripts of the viewer's page were not checked: Biome and TypeScript need the npm registry"; exit 0; }; \
 	$(LINT)/node_modules/.bin/biome check --log-level=warn --error-on-warnings && $(LINT)/node_modules/.bin/tsc
+
+TILES3D := dist/tiles3d/tool
+tiles3d-tools: ## what the tests of 3-D Tiles take where it is there: Khronos' validator of glTF and CesiumJS; needs Node with npm
+	@mkdir -p $(TILES3D) && npm install --silent --no-package-lock --no-save --prefix $(TILES3D) gltf-validator@2.0.0-dev.3.10 cesium@1.145.0
 
 scan: setup ## what plugins.qgis.org would find in the zip: Bandit, secrets, names, modes, metadata
 	@$(PYTHON) scripts/scan

@@ -2003,6 +2003,14 @@
         <translation>Das Volumen jeder Fläche zu jedem Zeitpunkt als CSV, für Tabellenprogramme.</translation>
     </message>
     <message>
+        <source>3-D Tiles</source>
+        <translation>3-D Tiles</translation>
+    </message>
+    <message>
+        <source>A folder of its own with tileset.json and GLB files, for CesiumJS, QGIS 3.34 and later, and other viewers.</source>
+        <translation>Ein eigener Ordner mit tileset.json und GLB-Dateien, für CesiumJS, QGIS ab 3.34 und andere Programme.</translation>
+    </message>
+    <message>
         <source>A folder for the images, the true surface (a DSM) and the ground control points.</source>
         <translation>Ein Ordner für die Bilder, die wahre Oberfläche (ein DOM) und die Passpunkte.</translation>
     </message>
@@ -2586,6 +2594,37 @@
     <message>
         <source>Edits in {file}: {count}.</source>
         <translation>Bearbeitungen in {file}: {count}.</translation>
+    </message>
+</context>
+<context>
+    <name>Tiles3d</name>
+    <message>
+        <source>Write a DSM as 3-D Tiles</source>
+        <translation>DOM als 3-D Tiles schreiben</translation>
+    </message>
+    <message>
+        <source>The surface as a tileset for CesiumJS, QGIS and other viewers that show it on the globe.</source>
+        <translation>Die Oberfläche als Kachelsatz für CesiumJS, QGIS und andere Programme, die sie auf dem Globus zeigen.</translation>
+    </message>
+    <message>
+        <source>DSM to write</source>
+        <translation>DOM, das geschrieben wird</translation>
+    </message>
+    <message>
+        <source>A raster of heights, in any CRS: a surface or a terrain model, of this plugin or of others.</source>
+        <translation>Ein Höhenraster in einem beliebigen KBS: ein Oberflächen- oder Geländemodell, von diesem Plugin oder von anderen.</translation>
+    </message>
+    <message>
+        <source>Orthophoto</source>
+        <translation>Orthophoto</translation>
+    </message>
+    <message>
+        <source>A picture to drape over the surface, grey or in colour, in any CRS. Empty: a hillshade.</source>
+        <translation>Ein Bild, das über die Oberfläche gelegt wird, grau oder farbig, in einem beliebigen KBS. Leer: eine Schummerung.</translation>
+    </message>
+    <message>
+        <source>The file to open: tileset.json</source>
+        <translation>Die Datei zum Öffnen: tileset.json</translation>
     </message>
 </context>
 <context>

@@ -30,6 +30,7 @@ from .refine import Refine
 from .register import Register
 from .sampledata import SampleData
 from .series import Series
+from .tiles3d import Tiles3d
 from .viewer import Viewer
 
 ALGORITHMS = (
@@ -47,6 +48,7 @@ ALGORITHMS = (
     CompareDsm,
     CheckGcps,
     Viewer,
+    Tiles3d,
     Change,
     Series,
     SampleData,

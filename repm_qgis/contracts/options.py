@@ -718,6 +718,15 @@ class ViewerOptions(Options):
 
 
 @dataclass(frozen=True)
+class Tiles3dOptions(Options):
+    """Write a DSM as 3-D Tiles into the folder ``tiles3d``, with the pictures of ``ortho`` (None: a hillshade)."""
+
+    dsm: str = read()
+    tiles3d: str = given()
+    ortho: Optional[str] = read(None)
+
+
+@dataclass(frozen=True)
 class DtmOptions(Options):
     """Find the terrain below the houses and trees of a DSM.
 

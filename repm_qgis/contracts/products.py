@@ -201,6 +201,7 @@ _PAIRS = (
     "an error comes from."
 )
 _VIEWER = "The surface in 3-D, with rasters draped over it and profiles: a page for the browser, without any network."
+_TILES3D = "A folder of its own with tileset.json and GLB files, for CesiumJS, QGIS 3.34 and later, and other viewers."
 
 _STAC = "A STAC item beside the DSM: when and where the images were taken, and the files that were made."
 _SOURCES = "The number of the DSM that each height comes from, how many DSMs have one there, and their spread."
@@ -305,6 +306,7 @@ PRODUCTS = (
     Product("series", "layers", "Layers of the dates", BUILT_FOLDER, UNLESS_SKIPPED, help=_LAYERS),
     Product("series", "table", "Table of the volumes", FILE, filter="CSV (*.csv)", help=_TABLE),
     Product("viewer", "viewer", "Surface in the browser (3-D)", FILE, ALWAYS, filter=_HTML, help=_VIEWER),
+    Product("tiles3d", "tiles3d", "3-D Tiles", BUILT_FOLDER, ALWAYS, help=_TILES3D),
     Product("sampledata", "folder", "Folder", FOLDER, ALWAYS, help=_SAMPLES),
     Product("sampledata", "truth", "True DSM", RASTER, style="dsm"),
     *(

@@ -16,7 +16,7 @@ from typing import Any, Dict, List, Optional, Tuple
 
 import numpy as np
 
-from ..contracts.arrays import FloatArray
+from ..contracts.arrays import FloatArray, IntArray
 from ..contracts.errors import OptionError
 from ..geometry.vertical import ELLIPSOID, TAG
 from .lattice import Surface
@@ -36,15 +36,13 @@ def write_glb(path: str, surface: Surface, vertices: int, faces: int) -> None:
     low, high = _bounds(surface, origin)
     image = picture(surface.paint) if surface.paint is not None else None
     sizes = [vertices * _POSITION, vertices * _PLACE if image else 0, faces * _CORNERS, len(image or b"")]
-    document = _padded(json.dumps(_document(surface, origin, (low, high), sizes, bool(image))).encode("ascii"), b" ")
-    body = _even(sum(sizes))
+    document, body = _document(_extras(surface, origin), (low, high), sizes), _even(sum(sizes))
     if body + len(document) + 28 >= 1 << 32:
         raise OptionError("MESH_VERTICES", vertices, "are more than a GLB can hold: choose 50000000, or a PLY")
     with open(path, "wb") as stream:
-        stream.write(struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(document) + 8 + body))
-        stream.write(struct.pack("<I4s", len(document), b"JSON") + document + struct.pack("<I4s", body, b"BIN\0"))
+        stream.write(_head(document, body))
         for places in surface.parts():
-            stream.write(_turned(places - origin).astype("<f4").tobytes())
+            stream.write(turned(places - origin).astype("<f4").tobytes())
         if image:
             for places in surface.parts():
                 stream.write(picture_places(surface, places).astype("<f4").tobytes())
@@ -53,7 +51,24 @@ def write_glb(path: str, surface: Surface, vertices: int, faces: int) -> None:
         stream.write((image or b"") + b"\0" * (body - sum(sizes)))
 
 
-def _turned(xyz: FloatArray) -> FloatArray:
+def small_glb(xyz: FloatArray, places: FloatArray, corners: IntArray, *, image: bytes) -> bytes:
+    """A mesh that fits into memory as a GLB: (N, 3) east, north and up in metres, (N, 2) places in the picture
+    ``image`` (JPEG), 0..1 to the right and down, and (M, 3) numbers of the triangles' vertices."""
+    vertices = turned(xyz).astype("<f4")
+    parts = [vertices.tobytes(), places.astype("<f4").tobytes(), corners.astype("<u4").tobytes(), image]
+    ends = vertices.min(axis=0).astype(float).tolist(), vertices.max(axis=0).astype(float).tolist()
+    sizes = [len(part) for part in parts]
+    body = _even(sum(sizes))
+    return _head(_document({}, ends, sizes), body) + b"".join(parts) + b"\0" * (body - sum(sizes))
+
+
+def _head(document: bytes, body: int) -> bytes:
+    """All of the file that comes before its ``body`` of so many bytes."""
+    whole = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(document) + 8 + body)
+    return whole + struct.pack("<I4s", len(document), b"JSON") + document + struct.pack("<I4s", body, b"BIN\0")
+
+
+def turned(xyz: FloatArray) -> FloatArray:
     """East, up and south of (N, 3) east, north and up."""
     return np.column_stack([xyz[:, 0], xyz[:, 2], -xyz[:, 1]])
 
@@ -62,15 +77,13 @@ def _bounds(surface: Surface, origin: FloatArray) -> Tuple[List[float], List[flo
     """The least and greatest coordinates, as single precision rounds them: readers compare them."""
     low, high = np.full(3, np.inf, np.float32), np.full(3, -np.inf, np.float32)
     for places in surface.parts():
-        places = _turned(places - origin).astype(np.float32)
+        places = turned(places - origin).astype(np.float32)
         if len(places):
             low, high = np.minimum(low, places.min(axis=0)), np.maximum(high, places.max(axis=0))
     return [float(value) for value in low], [float(value) for value in high]
 
 
-def _document(
-    surface: Surface, origin: FloatArray, ends: Tuple[List[float], List[float]], sizes: List[int], textured: bool
-) -> Dict[str, Any]:
+def _document(extras: Dict[str, Any], ends: Tuple[List[float], List[float]], sizes: List[int]) -> bytes:
     """The JSON part of the file; ``sizes`` are bytes of positions, places in the picture, triangles and picture."""
     starts = [sum(sizes[:n]) for n in range(4)]
     kinds: List[Optional[int]] = [_ARRAY, _ARRAY, _ELEMENTS, None]
@@ -85,8 +98,8 @@ def _document(
     ]
     attributes = {"POSITION": 0}
     matt: Dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 1}
-    document: Dict[str, Any] = {"asset": {"version": "2.0", "generator": "REPM", "extras": _extras(surface, origin)}}
-    if textured:
+    document: Dict[str, Any] = {"asset": {"version": "2.0", "generator": "REPM", "extras": extras}}
+    if sizes[3]:
         accessors.append({"bufferView": 1, "componentType": _FLOAT, "count": vertices, "type": "VEC2"})
         attributes["TEXCOORD_0"] = 1
         matt["baseColorTexture"] = {"index": 0}
@@ -109,7 +122,7 @@ def _document(
         bufferViews=views,
         buffers=[{"byteLength": sum(sizes)}],
     )
-    return document
+    return _padded(json.dumps(document).encode("ascii"), b" ")
 
 
 def _extras(surface: Surface, origin: FloatArray) -> Dict[str, Any]:

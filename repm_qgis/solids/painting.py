@@ -37,9 +37,13 @@ class Paint:
         own = Grid.of(self.dataset)
         if (own.size, own.transform) == (cells.size, cells.transform):
             return self.cells(window)
+        return self.onto(cells.window(window))
+
+    def onto(self, cells: Grid) -> Colours:
+        """(H, W, 3) colours of the cells of a grid: means where they are wider than the orthophoto's."""
         flat = cells.flat
         warpers = [HeightWarper(self.dataset, flat, band=band, heights=False) for band in self.bands]
-        return self._colours([warper.read(flat.window(window)) for warper in warpers])
+        return self._colours([warper.read(flat) for warper in warpers])
 
     def _colours(self, planes: List[FloatImage]) -> Colours:
         """(H, W, 3) of what the shown bands have in some cells, NaN where they have nothing."""

@@ -48,6 +48,18 @@ class SimplificationParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class Tiles3dParameters(Parameters):
+    """3-D Tiles of a surface (solids/tiles3d.py); other values are chosen."""
+
+    cells: int = 256  # from the first to the last cell of a tile's side; a power of two
+    tolerance: float = 0.25  # of a cell's side: a cell that is so much off on its own is not left out
+    lost: float = 0.3  # squared distance, in its triangle's, that counts for a cell which is lost to a hole; tuned
+    most_texels: int = 4  # of the picture for each cell's side
+    jpeg_quality: int = 85
+    light: Tuple[float, float, float] = (-0.5, 0.5, 0.7071)  # from the northwest, where there is no orthophoto
+
+
+@dataclass(frozen=True)
 class SolidsParameters(Parameters):
     """From a finished DSM to point clouds and meshes."""
 
@@ -55,6 +67,7 @@ class SolidsParameters(Parameters):
     painting: PaintingParameters = PaintingParameters()
     ept: EptParameters = EptParameters()
     simplification: SimplificationParameters = SimplificationParameters()
+    tiles3d: Tiles3dParameters = Tiles3dParameters()
     mesh_block_cells: int = 1 << 18  # of the mesh that are read at once; bounds the memory
 
 

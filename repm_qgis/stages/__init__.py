@@ -40,6 +40,7 @@ STAGES: dict[str, type[_options.Options]] = {
     "series": _options.SeriesOptions,
     "checkgcps": _options.CheckGcpsOptions,
     "viewer": _options.ViewerOptions,
+    "tiles3d": _options.Tiles3dOptions,
     "sampledata": _options.SampleDataOptions,
     "environment": _options.EnvironmentOptions,
 }

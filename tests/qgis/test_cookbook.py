@@ -83,8 +83,8 @@ def heights(path):
     return values
 
 
-def test_the_book_has_twenty_one_tasks():
-    assert sorted(TASKS) == list(range(1, 22))
+def test_the_book_has_twenty_two_tasks():
+    assert sorted(TASKS) == list(range(1, 23))
     assert all(commands(text) and "**Look at**" in text for text in TASKS.values())
 
 
@@ -295,6 +295,21 @@ def test_21_layers_of_a_map(cook):
     down, right = np.gradient(ground, cell)
     assert np.nanmedian(np.abs(slope - np.degrees(np.arctan(np.hypot(down, right))))) < 1.0
     assert all((folder / f"{name}.tif").exists() for name in ("hillshade", "ruggedness"))
+
+
+def test_22_a_town_on_the_globe(cook):
+    folder, said = cook(22)
+    tileset = json.loads((folder / "tiles" / "tileset.json").read_text(encoding="utf-8"))
+    assert tileset["asset"]["version"] == "1.1" and len(list((folder / "tiles" / "tiles").glob("*.glb"))) >= 1
+    x, y, z = tileset["root"]["transform"][12:15]
+    lon, lat = Transformer.from_crs(4978, 4326, always_xy=True).transform(x, y, z)[:2]
+    dataset = gdal.Open(str(folder / "dsm.tif"))
+    west, cell, _, north, _, down = dataset.GetGeoTransform()
+    middle = west + cell * dataset.RasterXSize / 2, north + down * dataset.RasterYSize / 2
+    crs = osr.SpatialReference(dataset.GetProjection())
+    wanted = Transformer.from_crs(crs.ExportToWkt(), 4326, always_xy=True).transform(*middle)
+    assert (lon, lat) == pytest.approx(wanted, abs=1e-7)
+    assert "the coarsest is" in said
 
 
 def test_the_whole_book_is_quick():

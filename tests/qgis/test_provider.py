@@ -41,6 +41,7 @@ PARAMETERS = {
     "series": "DSMS DATES AREAS ALIGN MIN_AREA CONFIDENCES CLUSTER OUTPUT TREND CHANGED VOLUMES LAYERS TABLE REPORT",
     "checkgcps": "GCPS SCENE DSM GCP_DATUM OUTPUT REPORT",
     "viewer": "DSM ORTHO CONFIDENCE DIFFERENCE CELLS VIEWER",
+    "tiles3d": "DSM ORTHO TILES3D",
     "sampledata": "KIND SIZE SEED FOLDER",
     "environment": "INSTALL WHEELS REMOVE REPORT",
 }
@@ -70,6 +71,7 @@ OUTPUTS = {
     )
     + " RPC_CE90 COMPENSATED_CE90 SCENE_CE90",
     "viewer": "VIEWER",
+    "tiles3d": "TILES3D TILESET",
     "sampledata": "FOLDER IMAGES TRUTH GCPS",
     "environment": "REPORT",
 }
@@ -136,7 +138,7 @@ def test_the_toolbox_shows_the_order_of_the_work(provider):
         "inspect",
         "pipeline",
         "dsm_by_stages",
-        *("comparedsm", "checkgcps", "viewer", "change", "series"),
+        *("comparedsm", "checkgcps", "viewer", "change", "series", "tiles3d"),
         *("editdsm", "dtm", "dsm_to_map", "mosaic"),
         "epmfit",
         "errormap",

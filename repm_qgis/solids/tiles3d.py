@@ -1,0 +1,272 @@
+"""A DSM as 3-D Tiles 1.1, for CesiumJS, QGIS (3.34 and later) and other viewers on the globe.
+
+A quadtree over the DSM's own cells, made from its leaves upwards. A leaf has 256 x 256 squares between cells; a tile
+above four others has every second of their cells, so its vertices are vertices of theirs. Of each tile's cells those
+are left out that its triangles do not need. Memory does not grow with the DSM: of each level there are four tiles.
+
+Vertices are metres in a local east, north, up frame at the DSM's middle, which the root's ``transform`` takes to
+geocentric coordinates (EPSG:4978). Tiles are listed one by one and not by implicit tiling, which QGIS 3.40 does not
+read; so each has a box and an error of its own.
+
+References
+----------
+Open Geospatial Consortium, 3D Tiles Specification 1.1, OGC 22-025r4, 2023.
+"""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Dict, List, Optional, Tuple
+
+import numpy as np
+from osgeo import gdal
+
+from ..contracts.arrays import ByteImage, FloatArray, FloatImage, IntArray, Window
+from ..contracts.errors import EmptyResultError, WorkspaceError
+from ..evaluation.grids import Grid, cell_sides, require_place
+from ..geometry.frames import EnuFrame, flat_crs, geodetic_from_projected, on_earth
+from ..geometry.vertical import ELLIPSOID, TAG, HeightDatum, stated_datum
+from ..imagery.heights import read_heights
+from ..imagery.raster import opened
+from ..reports.pictures import jpeg_bytes
+from ..runtime.progress import Progress, Silent
+from ..runtime.workspace import whole_folder
+from .gltf import small_glb
+from .painting import Paint, opened_paint
+from .parameters import SOLIDS, SolidsParameters
+from .tile_triangles import Kept, kept_of_tile, surface_of_tile
+
+_ENTRIES = ("tileset.json", "tiles")
+_BOX_MARGIN = 1e-6  # of its size: vertices are in single precision
+
+
+@dataclass(frozen=True)
+class Tiles3dFacts:
+    """A written tileset: its tiles with their vertices and triangles, and the error of the root, m."""
+
+    tiles: int
+    vertices: int
+    triangles: int
+    error_m: float
+
+
+@dataclass
+class _Tile:
+    """A finished tile: its cells' heights, its picture, its error (m, RMS) against the DSM, its box, and its JSON."""
+
+    heights: FloatImage
+    picture: ByteImage
+    error: float
+    low: FloatArray
+    high: FloatArray
+    entry: Dict[str, Any]
+
+
+def require_tiles3d_place(path: str) -> None:
+    """Check that a folder that a tileset replaces holds nothing else; raises WorkspaceError."""
+    folder = Path(path)
+    others = [folder.name] if folder.is_file() else []
+    others += sorted({each.name for each in folder.iterdir()} - set(_ENTRIES)) if folder.is_dir() else []
+    if others:
+        reason = f"holds '{others[0]}', which does not belong to a tileset and would be lost"
+        raise WorkspaceError(f"The folder '{folder}' {reason}: choose a new or empty folder for TILES3D.")
+
+
+def write_tiles3d(
+    dsm: str,
+    folder: str,
+    ortho: Optional[str] = None,
+    *,
+    progress: Optional[Progress] = None,
+    parameters: SolidsParameters = SOLIDS,
+) -> Tiles3dFacts:
+    """Write a DSM's surface as 3-D Tiles: a folder with ``tileset.json`` and GLB files, completely or not at all.
+
+    Vertices are centres of cells with their heights above the WGS 84 ellipsoid; holes stay open. Pictures are those of
+    the orthophoto ``ortho``, or else a hillshade. Heights of a DSM that does not state its datum are taken to be above
+    the ellipsoid, with a warning.
+
+    Raises ImageError for a raster that cannot be read or lies nowhere, EmptyResultError for a DSM without heights,
+    MissingPackageError where PROJ lacks the grid of its geoid, WorkspaceError where the folder has other files or
+    cannot be written.
+    """
+    progress = progress or Silent()
+    require_tiles3d_place(folder)
+    with ExitStack() as stack:
+        dataset = stack.enter_context(opened(dsm))
+        paint = stack.enter_context(opened_paint(ortho, parameters.painting)) if ortho else None
+        whole = stack.enter_context(whole_folder(folder))
+        (whole / "tiles").mkdir()
+        tree = _Tree(dataset, whole, paint, progress, parameters)
+        root = tree.tile(tree.depth, 0, 0)
+        if root is None:
+            raise EmptyResultError(f"The DSM '{dsm}' has no heights: there is nothing to write into '{folder}'.")
+        tree.write(root)
+        return Tiles3dFacts(tree.tiles, tree.vertices, tree.triangles, root.error)
+
+
+@dataclass
+class _Tree:
+    """The quadtree while it is written; level 0 are the leaves."""
+
+    dataset: gdal.Dataset
+    folder: Path
+    paint: Optional[Paint]
+    progress: Progress
+    parameters: SolidsParameters
+    tiles: int = 0
+    vertices: int = 0
+    triangles: int = 0
+    done: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        self.grid, self.n = Grid.of(self.dataset), self.parameters.tiles3d.cells
+        require_place(self.grid)
+        crs = on_earth(self.grid.crs, self.grid.path)
+        datum = stated_datum(crs, self.dataset.GetMetadataItem(TAG) or "")
+        if datum is None:
+            silent = f"'{self.grid.path}' does not state its vertical datum"
+            self.progress.warn(f"{silent}: its heights are taken to be above the ellipsoid.")
+        self.datum = datum or HeightDatum("", ELLIPSOID)
+        self.crs = flat_crs(crs).to_wkt("WKT2_2019")
+        width, height = self.grid.size
+        x, y = self.grid.to_ground(width / 2, height / 2)
+        self.frame = EnuFrame(*map(float, geodetic_from_projected(self.crs, np.array([x, y]))))
+        self.cell_m = max(cell_sides(self.grid))
+        self.depth = 0
+        while self.n << self.depth < max(width, height) - 1:
+            self.depth += 1
+        self.leaves = -(-width // self.n) * -(-height // self.n)
+        self.texels = 1
+        if self.paint is not None:
+            ratio = self.cell_m / max(cell_sides(Grid.of(self.paint.dataset)))
+            self.texels = int(np.clip(round(ratio), 1, self.parameters.tiles3d.most_texels))
+
+    def tile(self, level: int, row: int, column: int) -> Optional[_Tile]:
+        """Write a tile and all below it, whose first cell is that of a row and column; None where no triangle is."""
+        width, height = self.grid.size
+        if row >= max(height - 1, 1) or column >= max(width - 1, 1):
+            return None
+        if level == 0:
+            self.progress.check_cancelled()
+            self.done += 1
+            self.progress.step(self.done / (self.leaves + 1))
+            heights = self._heights(row, column)
+            return self._finished(heights, self._picture(row, column), [], (level, row, column))
+        half = self.n << (level - 1)
+        parts = [self.tile(level - 1, row + down * half, column + right * half) for down in (0, 1) for right in (0, 1)]
+        if not any(parts):
+            return None
+        fine = np.full((2 * self.n + 1, 2 * self.n + 1), np.nan, np.float32)
+        px = self.n * self.texels
+        joined = np.zeros((2 * px, 2 * px, 3), np.uint16)
+        for index, part in enumerate(parts):
+            if part is not None:
+                down, right = index // 2 * self.n, index % 2 * self.n
+                near = fine[down : down + self.n + 1, right : right + self.n + 1]
+                near[:] = np.where(np.isfinite(part.heights), part.heights, near)
+                joined[index // 2 * px :, index % 2 * px :][:px, :px] = part.picture
+        smaller = (joined[::2, ::2] + joined[1::2, ::2] + joined[::2, 1::2] + joined[1::2, 1::2]) // 4
+        below = [part for part in parts if part is not None]
+        return self._finished(fine, smaller.astype(np.uint8), below, (level, row, column))
+
+    def _finished(
+        self, fine: FloatImage, picture: Optional[ByteImage], below: List[_Tile], place: Tuple[int, int, int]
+    ) -> Optional[_Tile]:
+        """Choose the vertices of a tile, and write it; ``fine`` are the cells of the tiles below it, or its own."""
+        heights = np.ascontiguousarray(fine[::2, ::2]) if below else fine
+        p = self.parameters.tiles3d
+        cell = self.cell_m * (1 << place[0])
+        kept = kept_of_tile(heights, cell, (p.tolerance * cell) ** 2, lost=p.lost, progress=self.progress)
+        if not below and not len(kept.triangles):
+            return None
+        used = np.zeros(fine.shape, bool)
+        used[:: 2 if below else 1, :: 2 if below else 1] = kept.cells
+        error = _rms(fine - surface_of_tile(fine, used)) + max((part.error for part in below), default=0.0)
+        if picture is None or self.paint is None:
+            picture = _shaded(heights, cell, p.light)
+        ends = [end for part in below for end in (part.low, part.high)]
+        entry: Dict[str, Any] = {}
+        if len(kept.triangles):  # else only islands of a few cells are below it
+            xyz = self._written(place, heights, kept, picture)
+            ends += [xyz.min(axis=0), xyz.max(axis=0)]
+            entry["content"] = {"uri": self._name(*place)}
+        low, high = np.min(ends, axis=0), np.max(ends, axis=0)
+        entry.update(boundingVolume=_box(low, high), geometricError=error)
+        if below:
+            entry["geometricError"] = max(error, cell, *(part.entry["geometricError"] for part in below))
+            entry["children"] = [part.entry for part in below]
+        return _Tile(heights, picture, error, low, high, entry)
+
+    def _written(self, place: Tuple[int, int, int], heights: FloatImage, kept: Kept, picture: ByteImage) -> FloatArray:
+        """(N, 3) the vertices of a tile, after its file was written."""
+        level, row, column = place
+        step = 1 << level
+        r, c = np.nonzero(kept.cells)
+        xyz = self._enu(row + r * step, column + c * step, heights[r, c])
+        corners, jpeg = kept.triangles.astype(np.int64), jpeg_bytes(picture, self.parameters.tiles3d.jpeg_quality)
+        data = small_glb(xyz, np.column_stack([c, r]) / self.n, corners, image=jpeg)
+        (self.folder / self._name(*place)).write_bytes(data)
+        self.tiles, self.vertices = self.tiles + 1, self.vertices + len(xyz)
+        self.triangles += len(corners)
+        return xyz
+
+    def _name(self, level: int, row: int, column: int) -> str:
+        side = self.n << level
+        return f"tiles/{self.depth - level}_{row // side}_{column // side}.glb"
+
+    def _heights(self, row: int, column: int) -> FloatImage:
+        heights = np.full((self.n + 1, self.n + 1), np.nan, np.float32)
+        window = Window(column, row, self.n + 1, self.n + 1).common(Window(0, 0, *self.grid.size))
+        if window is not None:
+            heights[: window.height, : window.width] = read_heights(self.dataset, window)
+        return heights
+
+    def _picture(self, row: int, column: int) -> Optional[ByteImage]:
+        """The orthophoto from the middle of a tile's first cell to that of its last; None without one."""
+        if self.paint is None:
+            return None
+        x, y = self.grid.to_ground(column + 0.5, row + 0.5)
+        _, b, c, _, e, f = (term / self.texels for term in self.grid.transform)
+        side = self.n * self.texels
+        cells = Grid(self.grid.path, (side, side), (x, b, c, y, e, f), self.grid.wkt)
+        return (self.paint.onto(cells) >> 8).astype(np.uint8)
+
+    def _enu(self, row: IntArray, column: IntArray, heights: FloatImage) -> FloatArray:
+        xy = np.column_stack(self.grid.to_ground(column + 0.5, row + 0.5))
+        above = heights + self.datum.undulation(self.crs, xy)
+        return self.frame.from_geodetic(np.column_stack([geodetic_from_projected(self.crs, xy), above]))
+
+    def write(self, root: _Tile) -> None:
+        """Write ``tileset.json``, the last file."""
+        matrix = self.frame.ecef_from_enu.T.ravel().tolist()  # column by column
+        size = float(np.linalg.norm(root.high - root.low))
+        document = {
+            "asset": {"version": "1.1"},
+            "geometricError": max(size, root.entry["geometricError"]),
+            "root": {"transform": matrix, "refine": "REPLACE", **root.entry},
+        }
+        (self.folder / "tileset.json").write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
+
+
+def _rms(differences: FloatImage) -> float:
+    known = differences[np.isfinite(differences)]
+    return float(np.sqrt(np.mean(known.astype(np.float64) ** 2))) if known.size else 0.0
+
+
+def _box(low: FloatArray, high: FloatArray) -> Dict[str, List[float]]:
+    middle, half = (low + high) / 2, (high - low) / 2
+    half = half + _BOX_MARGIN * (np.abs(low) + np.abs(high)) + 1e-3
+    return {"box": [*middle.tolist(), *np.diag(half).ravel().tolist()]}
+
+
+def _shaded(heights: FloatImage, cell_m: float, light: Tuple[float, float, float]) -> ByteImage:
+    """(rows, columns, 3) the surface in greys, of the squares between cells."""
+    down = (heights[1:, :-1] - heights[:-1, :-1]) / cell_m
+    right = (heights[:-1, 1:] - heights[:-1, :-1]) / cell_m
+    lit = (light[2] - light[0] * right + light[1] * down) / np.sqrt(1 + right**2 + down**2)
+    grey = np.nan_to_num(np.clip(lit, 0, 1), nan=light[2])
+    return np.repeat(np.rint(40 + 215 * grey).astype(np.uint8)[..., None], 3, axis=2)

@@ -1,0 +1,30 @@
+"""Write a DSM as 3-D Tiles for viewers on the globe."""
+
+from __future__ import annotations
+
+from typing import Any, Dict
+
+from ..contracts.options import Tiles3dOptions
+from ..runtime.parallel import run_whole
+from ..runtime.progress import Progress
+from ..solids.tiles3d import write_tiles3d
+
+
+def run(options: Tiles3dOptions, progress: Progress) -> Dict[str, Any]:
+    """Write the tileset; gives its folder, and how many tiles, vertices and triangles it has.
+
+    Raises ImageError, EmptyResultError, MissingPackageError, WorkspaceError.
+    """
+    result: Dict[str, Any] = run_whole(_written, options, progress, "writing 3-D Tiles")
+    progress.step(1.0, "tileset written")
+    return result
+
+
+def _written(options: Tiles3dOptions, progress: Progress) -> Dict[str, Any]:
+    made = write_tiles3d(options.dsm, options.tiles3d, options.ortho, progress=progress)
+    progress.info(
+        f"3-D Tiles: {made.tiles} tiles with {made.vertices} vertices and {made.triangles} triangles; the coarsest is "
+        f"{made.error_m:.2f} m (RMS) from the DSM."
+    )
+    counts = {"tiles": made.tiles, "vertices": made.vertices, "triangles": made.triangles}
+    return {"tiles3d": options.tiles3d, "tileset": f"{options.tiles3d}/tileset.json", **counts}
