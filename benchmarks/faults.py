@@ -499,7 +499,9 @@ def cancels(bench: Bench, count: int, score: Score) -> None:
         ended = running.end()
         orphans = running.orphans()
         if ended.code:
-            score.longest_s = max(score.longest_s, time.monotonic() - start)
+            gone = time.monotonic() - start
+            score.longest_s = max(score.longest_s, gone)
+            sys.stderr.write(f"faults: cancelled at {moment:.2f} s, all was gone {gone:.1f} s later\n")
         problems = ended.problems() + orphans + state_of(place, bench.reference)
         # An engine that has not yet begun to listen ends by the signal itself: there is nothing of it to lose.
         if ended.code in (-signal.SIGTERM, -signal.SIGINT) and not ended.messages:

@@ -84,17 +84,21 @@ def _is_refined_image(view: ExportView) -> bool:
 
 def encode(plain: str, path: Path) -> None:
     """Convert ``plain`` (a raster, which is removed) to PNG or JPEG by ``path``'s extension; raises WorkspaceError."""
-    driver, options = _ENCODERS[path.suffix]
     try:
-        with whole_file(str(path)) as temporary, opened(plain) as source, quiet():
-            try:
-                made = gdal.GetDriverByName(driver).CreateCopy(temporary, source, 0, list(options))
-                made = None  # noqa: F841 - closes, and so completes, the file
-                reason = gdal.GetLastErrorMsg() if gdal.GetLastErrorType() >= gdal.CE_Failure else ""
-            except (RuntimeError, AttributeError) as error:  # AttributeError: a GDAL without the driver
-                reason = str(error)
-            if reason or not os.path.exists(temporary):
-                raise not_written(str(path), reason or f"GDAL lacks its {driver} driver", temporary)
-    finally:
+        _convert(plain, path)
+    finally:  # its own function has ended, and with it the last name of the open file: Windows removes no open one
         if os.path.exists(plain):
             os.unlink(plain)
+
+
+def _convert(plain: str, path: Path) -> None:
+    driver, options = _ENCODERS[path.suffix]
+    with whole_file(str(path)) as temporary, opened(plain) as source, quiet():
+        try:
+            made = gdal.GetDriverByName(driver).CreateCopy(temporary, source, 0, list(options))
+            made = None  # noqa: F841 - closes, and so completes, the file
+            reason = gdal.GetLastErrorMsg() if gdal.GetLastErrorType() >= gdal.CE_Failure else ""
+        except (RuntimeError, AttributeError) as error:  # AttributeError: a GDAL without the driver
+            reason = str(error)
+        if reason or not os.path.exists(temporary):
+            raise not_written(str(path), reason or f"GDAL lacks its {driver} driver", temporary)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
+import weakref
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +15,7 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis.contracts.errors import Cancelled, MissingPackageError, OptionError, SceneError, WorkspaceError
+from repm_qgis.exports import images
 from repm_qgis.exports.model import tile_model
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic
 from repm_qgis.geometry.jitter import Jitter
@@ -396,3 +400,27 @@ def test_mirrored_cameras_are_turned_round(scenes, ground):
         assert view.camera.K[0, 0] > 0 and view.camera.K[1, 1] > 0 and view.source == ""
         original = view.to_original(view.camera.project(ground[1]))
         assert np.abs(original - scene.view("img_01").project(ground[0])).max() < view.error.max + 1e-3
+
+
+def test_a_raster_is_closed_before_it_is_removed(tmp_path, write_image, monkeypatch):
+    """Windows removes no open file."""
+    plain, alive, closed = tmp_path / "a.png.tif", [], []
+    write_image(plain, np.full((8, 8), 9, np.uint8))
+    last, unlink = images.opened, os.unlink
+
+    @contextmanager
+    def noted(path):
+        with last(path) as dataset:
+            alive.append(weakref.ref(dataset))
+            yield dataset
+
+    monkeypatch.setattr(images, "opened", noted)
+
+    def removed(path, **named):
+        if path == str(plain):
+            closed.append(alive[0]() is None)
+        unlink(path, **named)
+
+    monkeypatch.setattr(images.os, "unlink", removed)
+    images.encode(str(plain), tmp_path / "a.png")
+    assert closed == [True] and not plain.exists() and (tmp_path / "a.png").exists()

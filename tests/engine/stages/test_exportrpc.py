@@ -107,7 +107,9 @@ def test_bands_nodata_mask_and_time_of_an_image_are_kept_and_its_georeferencing_
     second = write_image(images / "b.tif", colour[0], scene.views[1].rpc)
     dataset = gdal.Open(second, gdal.GA_Update)
     dataset.SetGCPs([gdal.GCP(1.0 + i, 2.0 + i % 2, 0.0, 10.0 * i, 20.0 * (i % 2)) for i in range(4)], "")
+    gdal.SetThreadLocalConfigOption("GDAL_TIFF_INTERNAL_MASK", "NO")  # GDAL before 3.9 made files by itself
     dataset.CreateMaskBand(gdal.GMF_PER_DATASET)
+    gdal.SetThreadLocalConfigOption("GDAL_TIFF_INTERNAL_MASK", None)
     hidden = np.full((400, 400), 255, np.uint8)
     hidden[:100] = 0
     dataset.GetRasterBand(1).GetMaskBand().WriteArray(hidden)
