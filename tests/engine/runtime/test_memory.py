@@ -133,7 +133,7 @@ make_block(SurfaceTask(Block(whole, folder + "/made.npy"), whole, joined, grid, 
 peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
 print(json.dumps(int(peak.split()[1]) / 1024))
 """
-linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the peak is told by Linux")
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux gives the peak")
 
 
 @pytest.fixture(scope="module")
