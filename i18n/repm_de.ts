@@ -638,7 +638,7 @@
     </message>
     <message>
         <source>The RPC of each image with its pointing correction, as GDAL, OTB, CARS, S2P and ASP read it.</source>
-        <translation>Der RPC jedes Bildes mit seiner Korrektur der Ausrichtung, wie GDAL, OTB, CARS, S2P und ASP ihn lesen.</translation>
+        <translation>Das RPC jedes Bildes mit seiner Korrektur der Ausrichtung, wie GDAL, OTB, CARS, S2P und ASP es lesen.</translation>
     </message>
     <message>
         <source>Reconstructed scene</source>
@@ -1476,7 +1476,7 @@
     </message>
     <message>
         <source>Only for the terrain model, which refines on this surface; a DEM with cells of 30 m is fine enough. Empty: the heights that the scene already has from 'Reconstruct heights'.</source>
-        <translation>Nur für das Geländemodell, das auf dieser Oberfläche verfeinert; ein DGM mit 30-m-Zellen ist fein genug. Leer: die Höhen, die die Szene aus „Höhen rekonstruieren“ schon hat.</translation>
+        <translation>Nur für das Geländemodell, das auf dieser Oberfläche verfeinert; ein DEM mit 30-m-Zellen ist fein genug. Leer: die Höhen, die die Szene aus „Höhen rekonstruieren“ schon hat.</translation>
     </message>
     <message>
         <source>Metres above the WGS 84 ellipsoid. Empty: from the DEM, else from the images or the RPCs.</source>
@@ -1912,7 +1912,7 @@
     </message>
     <message>
         <source>A folder of its own: for each image a VRT with its pixels and the corrected RPC, and the RPC as two text files.</source>
-        <translation>Ein eigener Ordner: für jedes Bild ein VRT mit seinen Pixeln und dem korrigierten RPC, und der RPC als zwei Textdateien.</translation>
+        <translation>Ein eigener Ordner: für jedes Bild ein VRT mit seinen Pixeln und dem korrigierten RPC, und das RPC als zwei Textdateien.</translation>
     </message>
     <message>
         <source>Height error</source>

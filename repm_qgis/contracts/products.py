@@ -23,12 +23,10 @@ class Style:
 
     ``ramp`` are the colours that are spread over the values of a ``band``, with their ``unit`` in the legend;
     ``classes`` are the names of values 0, 1, ... of a discrete one. ``template`` is the file's name where that is not
-    the kind's. ``off``: the layer hides others, or is there
-    to check the run, so it is not switched on where there is a DSM to look at, or
-    a layer of the kind ``beside``. ``plain``: it
-    has no template, and looks as QGIS shows such a file. ``coloured`` is the template of files that have red, green and
-    blue. ``view_of``: not a layer of its own but one more style of the
-    layers of that kind, with its ``title``.
+    the kind's. ``off``: the layer hides others, or is there to check the run, so it is not switched on where there is a
+    DSM to look at, or a layer of the kind ``beside``. ``plain``: it has no template, and looks as QGIS shows such a
+    file. ``coloured`` is the template of files that have red, green and blue. ``view_of``: not a layer of its own but
+    one more style of the layers of that kind, with its ``title``.
     """
 
     kind: str

@@ -185,7 +185,7 @@ def _doing(line: str) -> str:
         name = os.path.basename(words[1] if words[0] != "Using" else words[2])
         name = "-".join(name.split("-")[:2])  # without the systems that a wheel is for
         size = " ".join(words[-2:]) if line.endswith(")") else ""
-        return f"{'unpacking' if words[0] == 'Processing' else 'downloading'} {name} {size}".rstrip()
+        return f"{'unpacking' if words[0] == 'Processing' else 'downloading'} '{name}' {size}".rstrip()
     if line.startswith("Collecting "):
         return f"looking for {words[1]}"
     return f"installing {' '.join(words[3:])}" if line.startswith("Installing collected packages") else ""

@@ -8,7 +8,7 @@ from ..change.finding import Found, find_changes
 from ..change.page import change_page
 from ..change.parameters import CHANGE
 from ..contracts.options import ChangeOptions
-from ..contracts.products import products_of
+from ..contracts.products import paths_of
 from ..names import dates_title
 from ..reports.styles import write_style
 from ..runtime.parallel import run_whole
@@ -28,9 +28,8 @@ def _changed(options: ChangeOptions, progress: Progress) -> Dict[str, Any]:
     found = find_changes(options, Part(progress, 0.0, 0.9))
     for text in found.warnings:
         progress.warn(text)
-    for product in products_of("change"):
-        path = getattr(options, product.option)
-        if product.style and path:  # both rasters have the same colours; changes that are not significant are pale
+    for product, path in paths_of("change", options):
+        if product.style:  # both rasters have the same colours; changes that are not significant are pale
             write_style(product.style, path, (-found.shown_m, found.shown_m))
     if options.report:
         progress.step(0.92, "Report")
