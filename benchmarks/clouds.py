@@ -28,7 +28,7 @@ def heights(rows: range, columns: int) -> np.ndarray:
 def make(folder: str, side: int) -> None:
     """A cloud of a point a cell, and a DSM of the same cells."""
     from repm_qgis.geometry.vertical import HeightDatum
-    from repm_qgis.imagery.raster import created
+    from repm_qgis.imagery.raster import RasterFrame, created
     from repm_qgis.solids.point_cloud import created_cloud
 
     numbers = np.random.default_rng(0)
@@ -36,7 +36,7 @@ def make(folder: str, side: int) -> None:
     grid = (WEST, 0.5, 0, NORTH, 0, -0.5)
     with (
         created_cloud(f"{folder}/c.laz", CRS, (WEST, NORTH, 0)) as cloud,
-        created(f"{folder}/d.tif", (side, side), np.dtype(np.float32), 1, grid, wkt) as dsm,
+        created(f"{folder}/d.tif", RasterFrame((side, side), np.float32, 1, grid, wkt)) as dsm,
     ):
         for row in range(0, side, 64):
             rows = range(row, min(row + 64, side))

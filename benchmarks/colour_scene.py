@@ -13,7 +13,7 @@ from typing import Dict, List, Tuple
 
 import numpy as np
 
-from repm_qgis.imagery.raster import created, write
+from repm_qgis.imagery.raster import RasterFrame, created, write
 from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.render import render_view
@@ -50,8 +50,8 @@ def make_colour_scene(spec: SceneSpec, folder: str) -> Tuple[List[str], List[str
     paths = []
     for number, (view, fit, bias) in enumerate(zip(views, fits, biases)):
         paths.append(str(Path(folder) / f"{view.name}_XS.tif"))
-        frame = view.size[::-1], np.dtype(np.uint16), len(tints), None, ""
-        with created(paths[-1], *frame, nodata=None, descriptions=tuple(tints), compress=False) as dataset:
+        frame = RasterFrame(view.size[::-1], np.uint16, len(tints))
+        with created(paths[-1], frame, nodata=None, descriptions=tuple(tints), compress=False) as dataset:
             dataset.set_metadata(rpc_tags(fit.rpc.shifted(-bias[0], -bias[1])), "RPC")
             for band, tint in enumerate(tints.values(), start=1):
                 for first, strip in render_view(_tinted(surface, tint), view, spec.seed + 50 * band + number, Silent()):

@@ -21,7 +21,7 @@ from benchmarks.runner import CORES, Cost, Failed, alone, few, is_quick, measure
 from benchmarks.scenes import CACHE, Scene, made_once, quick_size, simulated, zy3
 from benchmarks.scoring import bounds_of, heights_of, nmad, scores, shares
 from benchmarks.tables import Section, table
-from repm_qgis.imagery.raster import created
+from repm_qgis.imagery.raster import RasterFrame, created
 from repm_qgis.imagery.warping import sample_array
 from repm_qgis.matching.pair_backend import match_pair_over_tile
 from repm_qgis.rpc import Rpc
@@ -213,7 +213,7 @@ def smooth_pair(side: int) -> List[str]:
         texture = noise(2048)
         for path, view in zip(images, [make_views(spec)[i] for i in (0, 2)]):
             fitted = fit_rpc(view.localise, view.size, (250.0, 500.0)).rpc
-            with created(path, (side, side), np.dtype(np.uint16), 1, None, "", nodata=None, compress=False) as target:
+            with created(path, RasterFrame((side, side), np.uint16), nodata=None, compress=False) as target:
                 target.set_metadata(rpc_tags(fitted), "RPC")
                 for row in range(0, side, _STRIP):
                     rows = min(_STRIP, side - row)

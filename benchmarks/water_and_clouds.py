@@ -18,7 +18,7 @@ from scipy.interpolate import RectBivariateSpline
 from benchmarks.colour_scene import RATIO
 from benchmarks.water_spectra import BANDS, in_band, land_cover
 from repm_qgis.geometry.frames import geodetic_from_projected, projected_from_geodetic
-from repm_qgis.imagery.raster import created
+from repm_qgis.imagery.raster import RasterFrame, created
 from repm_qgis.rpc.model import Rpc
 from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.runtime.progress import Silent
@@ -287,8 +287,8 @@ def _clouded(
 
 def _write(path: str, pixels: np.ndarray, rpc: Rpc, names: Tuple[str, ...] = ()) -> None:
     planes = pixels.reshape(-1, *pixels.shape[-2:])
-    frame = planes.shape[1:], np.dtype(np.uint16), len(planes), None, ""
-    with created(path, *frame, nodata=None, descriptions=names, compress=False) as dataset:
+    frame = RasterFrame(planes.shape[1:], np.uint16, len(planes))
+    with created(path, frame, nodata=None, descriptions=names, compress=False) as dataset:
         dataset.set_metadata(rpc_tags(rpc), "RPC")
         for band, plane in enumerate(planes, start=1):
             dataset.write(plane, 0, 0, band)

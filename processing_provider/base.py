@@ -331,9 +331,16 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             name = product.option.upper()
             if product.style and outputs.get(name):
                 datum = result.get("vertical_datum") if product.style == "dsm" else ""
-                place = kept_as.get(name, ""), outputs[name]
-                title = tr(product.layer or product.title)
-                styles.style_layer(context, feedback, *place, product.style, run, title, datum or "")
+                styles.style_layer(
+                    context,
+                    feedback,
+                    kept_as=kept_as.get(name, ""),
+                    path=outputs[name],
+                    kind=product.style,
+                    run=run,
+                    title=tr(product.layer or product.title),
+                    more=datum or "",
+                )
         if isinstance(result.get("seconds"), dict):
             feedback.pushInfo(
                 self.tr("Seconds: {stages}").format(

@@ -441,9 +441,16 @@ class Scene(Record):
         parameters: Optional[Dict[str, Any]] = None,
     ) -> "Scene":
         """The scene with a finished stage in its history, where it replaces an earlier record of the same stage."""
-        facts = round(seconds, 3), dict(options), tuple(warnings), parameters or {}
-        earlier = (entry for entry in self.history if entry.stage != stage)
-        return replace(self, history=(*earlier, StageRecord(stage, key, __version__, *facts)))
+        record = StageRecord(
+            stage=stage,
+            fingerprint=key,
+            engine=__version__,
+            seconds=round(seconds, 3),
+            options=dict(options),
+            warnings=tuple(warnings),
+            parameters=parameters or {},
+        )
+        return replace(self, history=(*(entry for entry in self.history if entry.stage != stage), record))
 
     def record_of(self, stage: str) -> Optional[StageRecord]:
         """The record of a finished stage; None where it has not been run."""
@@ -589,7 +596,8 @@ class GroundSeen(NamedTuple):
     def of(cls, views: Sequence[View]) -> "GroundSeen":
         # Two images share no more than the smaller of the two largest shows.
         sides = sorted((math.hypot(*view.size) * view.gsd_m for view in views), reverse=True)
-        return cls(finest_gsd_m(views), sides[min(1, len(sides) - 1)], *middle_of(views))
+        lon, lat = middle_of(views)
+        return cls(finest_gsd_m(views), sides[min(1, len(sides) - 1)], lon, lat)
 
 
 def ground_of(path: str) -> Optional[GroundSeen]:

@@ -17,7 +17,7 @@ from osgeo import osr
 
 from repm_qgis.contracts.arrays import FloatArray, FloatImage
 from repm_qgis.geometry.frames import ecef_from_geodetic, projected_from_geodetic, utm_crs
-from repm_qgis.imagery.raster import created, write
+from repm_qgis.imagery.raster import RasterFrame, created, write
 from repm_qgis.rpc.model import Rpc
 from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.runtime.progress import Progress
@@ -256,8 +256,8 @@ def make_dated_scene(
 
 
 def _write_chip(path: str, bands: Sequence[FloatImage], utc: str, rpc: Rpc) -> None:
-    shape, kind, metadata = bands[0].shape, bands[0].dtype, {"NITF_IDATIM": utc}
-    with created(path, (shape[0], shape[1]), kind, len(bands), None, "", nodata=None, metadata=metadata) as dataset:
+    frame = RasterFrame(bands[0].shape, bands[0].dtype, len(bands))
+    with created(path, frame, nodata=None, metadata={"NITF_IDATIM": utc}) as dataset:
         dataset.set_metadata(rpc_tags(rpc), "RPC")
         for number, band in enumerate(bands, start=1):
             dataset.write(band, band=number)

@@ -77,7 +77,10 @@ def fitted_model(
     scale, horizontal = _explained(spreads, errors, rises)
     horizontal = max(horizontal, parameters.least_horizontal_cells * cell_m)
     expected = np.hypot(scale * errors, horizontal * rises)
-    classes = tuple(SlopeClass(*row[:4], float(e)) for row, e in zip(rows, expected))
+    classes = tuple(
+        SlopeClass(low=low, high=high, cells=count, spread=spread, expected=float(error))
+        for (low, high, count, spread, _, _), error in zip(rows, expected)
+    )
     return ErrorModel(scale, horizontal, classes, parameters)
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import ContextManager, Dict, List, Sequence, Tuple
+from typing import ContextManager, Dict, List, Sequence
 
 import numpy as np
+from numpy.typing import DTypeLike
 from osgeo import ogr
 
 from .. import __version__
@@ -154,16 +155,12 @@ class _Work:
 
     def _detect(self, model: ErrorModel, progress: Progress) -> None:
         """Write the difference, and what later passes need of each cell."""
-        plan, grid, frame = self._parameters.detection, self._grid, self._frame()
+        plan, grid = self._parameters.detection, self._grid
         windows = list(overlapping_blocks(grid.size, max(plan.block_cells, self._thumbnails.factor), plan.halo_cells))
         with ExitStack() as stack:
             output = stack.enter_context(self._product(self._options.output, ["AFTER - BEFORE (m)"]))
-            signs = stack.enter_context(
-                raster.created(self._signs, frame[0], np.dtype(np.uint8), 1, *frame[1:], nodata=None, own=True)
-            )
-            between = stack.enter_context(
-                raster.created(self._between, frame[0], np.dtype(np.float32), 4, *frame[1:], own=True)
-            )
+            signs = stack.enter_context(raster.created(self._signs, self._frame(1, np.uint8), nodata=None, own=True))
+            between = stack.enter_context(raster.created(self._between, self._frame(4), own=True))
             for index, (own, wide) in enumerate(windows):
                 progress.check_cancelled()
                 progress.step(index / len(windows), f"block {index + 1} of {len(windows)}")
@@ -217,7 +214,10 @@ class _Work:
                 inner = own.grown(1, size)
                 numbers = np.zeros((around.height, around.width), np.int64)
                 numbers[inner.inside(around)] = outlines.numbers(inner)
-                sums.add(numbers, *(raster.read(between, own, band) for band in (_CHANGE, _CORE_ERROR, _SUPPORT)))
+                change, core_error, support = (
+                    raster.read(between, own, band) for band in (_CHANGE, _CORE_ERROR, _SUPPORT)
+                )
+                sums.add(numbers, change, core_error, support)
             plan = self._parameters.detection
             least_m2 = plan.support_share * self._options.min_area
             changes = sums.changes(outlines, model, correlation, cell_m2, offset_m, least_m2, plan)
@@ -246,21 +246,19 @@ class _Work:
         features = ((ogr.CreateGeometryFromWkb(each.outline), each.values) for each in changes)
         write_layer(path, crs, ogr.wkbPolygon, FIELDS, features)
 
-    def _frame(self) -> Tuple[Tuple[int, int], Tuple[float, ...], str]:
-        """Shape, geotransform and horizontal CRS of all rasters: differences have no vertical datum."""
-        return self._grid.size[::-1], self._grid.transform, flat_crs(self._grid.crs).to_wkt("WKT2_2019")
+    def _frame(self, bands: int, kind: DTypeLike = np.float32) -> raster.RasterFrame:
+        """That of all rasters: their CRS is horizontal, because differences have no vertical datum."""
+        flat = flat_crs(self._grid.crs).to_wkt("WKT2_2019")
+        return raster.RasterFrame(self._grid.size[::-1], kind, bands, self._grid.transform, flat)
 
     def _product(self, path: str, bands: Sequence[str]) -> ContextManager[raster.RasterWriter]:
-        shape, place, crs = self._frame()
         facts: Dict[str, object] = {
             "REPM_ENGINE": __version__,
             "BEFORE": self._options.before,
             "AFTER": self._options.after,
         }
-        kind = np.dtype(np.float32)
-        return raster.created(
-            path, shape, kind, len(bands), place, crs, descriptions=bands, metadata=facts, unit="m", cog=True
-        )
+        frame = self._frame(len(bands))
+        return raster.created(path, frame, descriptions=bands, metadata=facts, unit="m", cog=True)
 
 
 def _standardised(cells: Cells, model: ErrorModel, most: float) -> FloatImage:

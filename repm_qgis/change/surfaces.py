@@ -50,7 +50,7 @@ class Cells:
 
     def inner(self, part: Tuple[slice, slice]) -> Cells:
         """A part of the window."""
-        return Cells(*(values[part] for values in vars(self).values()))
+        return Cells(**{name: values[part] for name, values in vars(self).items()})
 
 
 class TwoDates(Protocol):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Optional, Tuple
+from typing import Any, Iterable, NamedTuple, Optional, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +73,12 @@ class Bounds(NamedTuple):
     ymin: float
     xmax: float
     ymax: float
+
+    @classmethod
+    def between(cls, low: Iterable[float], high: Iterable[float]) -> Bounds:
+        """From the least x and y to the largest ones, (2,) each."""
+        (xmin, ymin), (xmax, ymax) = low, high
+        return cls(float(xmin), float(ymin), float(xmax), float(ymax))
 
     def grown(self, margin: float) -> Bounds:
         """Wider by a margin on each side."""

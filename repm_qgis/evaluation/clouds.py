@@ -57,7 +57,7 @@ def _cells(cloud: OpenedCloud, beside: Optional[Grid]) -> Tuple[CellGrid, str]:
     if system.is_geographic:
         raise ImageError(f"The point cloud '{cloud.path}' is in degrees: reproject it to a CRS in metres first (PDAL).")
     header = cloud.reader.header
-    bounds = Bounds(*map(float, (*header.mins[:2], *header.maxs[:2])))
+    bounds = Bounds.between(header.mins[:2], header.maxs[:2])
     area = max((bounds.xmax - bounds.xmin) * (bounds.ymax - bounds.ymin), 1e-6)
     cell = math.sqrt(_POINTS_A_CELL * area / max(header.point_count, 1))
     return CellGrid.covering(bounds, float(f"{cell:.2g}")), system.to_wkt("WKT2_2019")
@@ -93,7 +93,7 @@ class Surface:
 
     def _of_cloud(self, grids: Sequence[Grid], check: Callable[[], None]) -> List[FloatArray]:
         boxes = np.array([grid.bounds for grid in grids])
-        around = Bounds(*map(float, (*boxes[:, :2].min(axis=0), *boxes[:, 2:].max(axis=0))))
+        around = Bounds.between(boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0))
         crs = flat_crs(self._target.crs).to_wkt("WKT2_2019")
         found = []
         with opened_cloud(self._cloud) as cloud:

@@ -85,9 +85,9 @@ def compare(
         by_slopes = "3d" if method == "icp" else method
         alignment = align(by_slopes, patches, cell, progress.check_cancelled, parameters.coregistration)
         if method == "icp":
-            sides = Surface(warper, grid, clouds[0]), Surface(HeightWarper(reference, grid), grid, clouds[1])
+            ours, theirs = Surface(warper, grid, clouds[0]), Surface(HeightWarper(reference, grid), grid, clouds[1])
             windows = sample_windows(grid, common, parameters.comparison)
-            shift = _shift_of_points(*sides, windows, alignment, progress.check_cancelled, parameters)
+            shift = _shift_of_points(ours, theirs, windows, alignment, progress.check_cancelled, parameters)
             alignment = moved_by(method, patches, cell, shift, parameters.coregistration)
     by_class = ErrorsByClass(classes, grid, thresholds) if classes is not None else None
     work = _Blocks(warper, reference, cell, alignment, thresholds, by_class, parameters.comparison)
@@ -103,8 +103,21 @@ def compare(
     slopes = [(f"{low:g}–{high:g}°", collector.metrics()) for low, high, collector in work.by_slope]
     kinds = by_class.metrics() if by_class is not None else []
     profiles = [sample_profile(line, warper, along, grid, alignment) for line in lines or middle_lines(common)]
-    drawn = profiles, work.histogram, work.thumbnails.pictures, work.thumbnails.factor
-    return Comparison(source, grid, cell, alignment, metrics, work.total.exact, slopes, kinds, *drawn, warper.warnings)
+    return Comparison(
+        dsm=source,
+        reference=grid,
+        cell_m=cell,
+        alignment=alignment,
+        metrics=metrics,
+        exact=work.total.exact,
+        by_slope=slopes,
+        by_class=kinds,
+        profiles=profiles,
+        histogram=work.histogram,
+        thumbnails=work.thumbnails.pictures,
+        thumbnail_factor=work.thumbnails.factor,
+        warnings=warper.warnings,
+    )
 
 
 def _shift_of_points(

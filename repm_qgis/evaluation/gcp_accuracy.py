@@ -6,6 +6,7 @@ the paper's table on ISPRS-ZY3: RPC localisation (with and without image-space c
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Dict, List, Optional, Sequence, Tuple
 
@@ -50,9 +51,14 @@ class ErrorSummary:
         """Of signed errors of any shape; NaN are left out, and no value at all gives NaN."""
         size = np.abs(values[np.isfinite(values)])
         if not size.size:
-            return cls(0, *[float("nan")] * 4)
-        figures = np.median(size), np.sqrt(np.mean(size**2)), size.max(), le90(size)
-        return cls(size.size, *map(float, figures))
+            return cls(count=0, medae=math.nan, rmse=math.nan, max=math.nan, le90=math.nan)
+        return cls(
+            count=size.size,
+            medae=float(np.median(size)),
+            rmse=float(np.sqrt(np.mean(size**2))),
+            max=float(size.max()),
+            le90=float(le90(size)),
+        )
 
 
 @dataclass

@@ -174,13 +174,13 @@ def bounds_on(dsm: Grid, reference: Grid) -> Bounds:
     try:
         return Bounds(*to_reference.transform_bounds(*dsm.bounds, densify_pts=21))
     except ProjError:
-        return Bounds(*(math.nan,) * 4)
+        return Bounds(math.nan, math.nan, math.nan, math.nan)
 
 
 def overlap(dsm: Grid, reference: Grid) -> Bounds:
     """The common extent of both rasters, in the reference's CRS; raises OverlapError with both extents without one."""
     ours, theirs = bounds_on(dsm, reference), reference.bounds
-    both = Bounds(*(max(a, b) for a, b in zip(ours[:2], theirs)), *(min(a, b) for a, b in zip(ours[2:], theirs[2:])))
+    both = Bounds.between(map(max, ours[:2], theirs[:2]), map(min, ours[2:], theirs[2:]))
     if not (both.xmin < both.xmax and both.ymin < both.ymax):
         raise OverlapError(
             f"The DSMs '{dsm.path}' and '{reference.path}' do not overlap. In {flat_crs(reference.crs).name} the first "

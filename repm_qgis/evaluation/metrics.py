@@ -116,10 +116,17 @@ class ErrorCollector:
         shares = 100.0 * self._within / self._reference if self._reference else np.zeros(len(self._thresholds))
         bias, medae, spread, most = self._quantiles() if self._n else (math.nan,) * 4
         n = self._n or math.nan
-        rmse = math.sqrt(self._squares / n) if self._n else math.nan
-        completeness = tuple(zip(self._thresholds, map(float, shares)))
-        figures = rmse, medae, self._absolutes / n, spread, bias, most
-        return HeightMetrics(self._n, self._reference, *figures, completeness)
+        return HeightMetrics(
+            cells=self._n,
+            reference_cells=self._reference,
+            rmse=math.sqrt(self._squares / n) if self._n else math.nan,
+            medae=medae,
+            mae=self._absolutes / n,
+            nmad=spread,
+            bias=bias,
+            le90=most,
+            completeness=tuple(zip(self._thresholds, map(float, shares))),
+        )
 
     def _quantiles(self) -> Tuple[float, float, float, float]:
         """Bias, MedAE, NMAD and LE90."""

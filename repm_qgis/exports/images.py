@@ -14,7 +14,7 @@ from osgeo import gdal
 from ..contracts.arrays import FloatImage, Window
 from ..contracts.errors import ImageError
 from ..imagery.enhancement import Stretch
-from ..imagery.raster import RasterWriter, created, opened, quiet, read
+from ..imagery.raster import RasterFrame, RasterWriter, created, opened, quiet, read
 from ..imagery.warping import warp_strips
 from ..runtime.progress import Progress
 from ..runtime.workspace import not_written, whole_file
@@ -38,8 +38,8 @@ def write_image(
     with ExitStack() as files:
 
         def band(name: str, dtype: "np.dtype[Any]", compress: bool) -> RasterWriter:
-            raster = created(name, view.size[::-1], dtype, 1, None, "", nodata=None, compress=compress)
-            return files.enter_context(raster)
+            frame = RasterFrame(view.size[::-1], dtype)
+            return files.enter_context(created(name, frame, nodata=None, compress=compress))
 
         pixels = band(plain, np.dtype(np.uint16 if stretch is None else np.uint8), stretch is None)
         known = band(f"{mask}.tif", np.dtype(np.uint8), False) if mask else None

@@ -83,7 +83,8 @@ class ExportView:
 
     def centred(self) -> "ExportView":
         """The view of the camera rotated towards the image's middle, with square pixels."""
-        return self._seen_by(*centred(self.camera, self.size))
+        camera, size = centred(self.camera, self.size)
+        return self._seen_by(camera, size)
 
     def _seen_by(self, camera: PinholeCamera, size: Size) -> "ExportView":
         """The view of another camera at the same projection centre."""

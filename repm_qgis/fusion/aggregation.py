@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
-from typing import Optional, Sequence, Tuple, Union
+from typing import Iterable, Optional, Sequence, Tuple, Union
 
 import cv2
 import numpy as np
@@ -66,7 +66,13 @@ class Candidate:
     @classmethod
     def none(cls, shape: Tuple[int, ...]) -> Candidate:
         """Without a height anywhere."""
-        return cls(*(np.full(shape, value, np.float32) for value in (np.nan, 0.0, np.nan, 0.0, np.nan, np.nan)))
+        known = ("evidence", "count")
+        return cls(**{name: np.full(shape, 0.0 if name in known else np.nan, np.float32) for name in _NAMES})
+
+    @classmethod
+    def of(cls, arrays: Iterable[FloatImage]) -> Candidate:
+        """From the arrays of :meth:`arrays`."""
+        return cls(**dict(zip(_NAMES, arrays)))
 
     def arrays(self) -> Tuple[FloatImage, ...]:
         """All fields, in their order."""
@@ -74,8 +80,8 @@ class Candidate:
 
     def without(self, cells: Mask) -> Candidate:
         """The same with no heights in some cells."""
-        nothing = Candidate.none(()).arrays()
-        return Candidate(*(np.where(cells, none, values) for none, values in zip(nothing, self.arrays())))
+        nothing = vars(Candidate.none(()))
+        return Candidate(**{name: np.where(cells, nothing[name], values) for name, values in vars(self).items()})
 
     @property
     def filled(self) -> Mask:
@@ -84,7 +90,8 @@ class Candidate:
         return result
 
 
-FIELDS = len(fields(Candidate))
+_NAMES = tuple(field.name for field in fields(Candidate))
+FIELDS = len(_NAMES)
 """How many arrays a candidate has."""
 
 
@@ -100,7 +107,7 @@ class FusedCells:
     def of(cls, arrays: Sequence[FloatImage]) -> FusedCells:
         """From the arrays of :meth:`arrays` or :meth:`without_choice`."""
         first, second, evidence = arrays[:FIELDS], arrays[FIELDS:-1], arrays[-1]
-        return cls(Candidate(*first), Candidate(*second) if second else Candidate.none(evidence.shape), evidence)
+        return cls(Candidate.of(first), Candidate.of(second) if second else Candidate.none(evidence.shape), evidence)
 
     def arrays(self) -> Tuple[FloatImage, ...]:
         """All fields of both candidates and the evidence, in their order."""
@@ -127,7 +134,8 @@ class FusedCells:
     def without_backgrounds(self) -> FusedCells:
         """The same where backgrounds are no candidates: a matched second one takes the place of a first one."""
         second, filled = self.second.without(self.second.filled), self.first.filled
-        first = Candidate(*(np.where(filled, b, a) for a, b in zip(self.first.arrays(), second.arrays())))
+        other = vars(second)
+        first = Candidate(**{name: np.where(filled, other[name], own) for name, own in vars(self.first).items()})
         return replace(self, first=first, second=second.without(filled))
 
 
@@ -259,8 +267,9 @@ class _Observations:
             several = members.sum(axis=0) > 2
             inverse = np.where(members[:, several], 1.0 / self.sigma[:, several] ** 2, 0.0)
             mean[several] = _weighted_median(self.height[:, several], inverse)
-        arrays = (mean, evidence, deviation, count, spread, score)
-        return Candidate(*(values.astype(np.float32) for values in arrays))
+        found = {"height": mean, "evidence": evidence, "sigma": deviation}
+        found.update(count=count, spread=spread, score=score)
+        return Candidate(**{name: values.astype(np.float32) for name, values in found.items()})
 
 
 def disagreement(

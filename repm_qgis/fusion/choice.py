@@ -144,21 +144,21 @@ class _Sweeper:
         alike[np.isnan(around)] = 0
         around = np.nan_to_num(around)
         alike /= np.maximum(alike.sum(axis=0), np.float32(1e-6))
-        seen = self._surroundings(padded, place[front], self._far)
+        far, far_alike = self._surroundings(padded, place[front], self._far)
         limits = self._limits.ravel()[cells]
         least = np.full(len(cells), _INFINITE)
         best: FloatImage = own.copy()
         for candidate in candidates:
             cost = np.zeros(len(cells), np.float32)
-            for observation in observations:
-                cost += disagreement(candidate, *observation, problem.evidence)
+            for height, evidence, sigma in observations:
+                cost += disagreement(candidate, height, evidence, sigma, problem.evidence)
             cost *= limits
             away = np.abs(around - candidate)
             away *= np.float32(1 / p.scale_m)
             np.minimum(away, np.float32(p.most), out=away)
             away *= alike
             cost += np.float32(p.smoothness) * away.sum(axis=0)
-            cost[front] += np.float32(p.appearance) * self._unlike(candidate[front], *seen)
+            cost[front] += np.float32(p.appearance) * self._unlike(candidate[front], far, far_alike)
             better = cost < least - np.float32(1e-6)
             least, best = np.where(better, cost, least), np.where(better, candidate, best)
         return best

@@ -11,7 +11,7 @@ from ..contracts.arrays import FloatImage, Window
 from ..contracts.errors import EmptyResultError
 from ..contracts.options import DsmFuseOptions
 from ..geometry.cell_grid import overlapping_blocks
-from ..imagery.raster import created, opened, read
+from ..imagery.raster import RasterFrame, created, opened, read
 from ..scene import Scene
 from .aggregation import FIELDS, Candidate, FusedCells
 from .feathering import feathered
@@ -40,7 +40,7 @@ class JoinedTiles:
     def first(self, window: Window) -> Candidate:
         """The first candidates of a window of the crop alone."""
         with opened(self.path) as dataset:
-            return Candidate(*(read(dataset, window, band) for band in range(1, FIELDS + 1)))
+            return Candidate.of(read(dataset, window, band) for band in range(1, FIELDS + 1))
 
     def first_heights(self, window: Window) -> FloatImage:
         """(H, W) the initial heights: those of the first candidates, and in shadows the ground."""
@@ -75,9 +75,8 @@ def join_tiles(
         cells = sum(tile.cells for tile in stored)
         raise EmptyResultError(f"None of {cells} cells of the DSM has a height: check the reconstruction's report.")
     crop, path, shaded = _known_part(layout, stored), f"{folder}/joined.tif", f"{folder}/shaded.tif"
-    frame = (crop.height, crop.width), np.dtype(np.float32)
-    count = 2 * FIELDS + 1 if walls else FIELDS + 1
-    with created(path, *frame, count, None, "", compress=False) as raster:
+    shape, count = (crop.height, crop.width), 2 * FIELDS + 1 if walls else FIELDS + 1
+    with created(path, RasterFrame(shape, np.float32, count), compress=False) as raster:
         for window, result in _feathered(scene, layout, stored, parameters):
             common = window.common(crop)
             if common is None:
@@ -93,7 +92,7 @@ def join_tiles(
     sun = Sun.over(scene, layout.crs, parameters.shaded) if walls and options.fill != "none" else None
     if sun is None:
         return joined
-    with created(shaded, *frame, 1, None, "", compress=False) as raster:
+    with created(shaded, RasterFrame(shape, np.float32), compress=False) as raster:
         cell, numbers = layout.grid.cell, parameters.shaded
         for own, wide in overlapping_blocks(
             (crop.width, crop.height), parameters.hole_block_cells, halo(cell, numbers)

@@ -194,8 +194,8 @@ def _compared(task: _TileTask) -> _Compared:
             if i not in best and j not in best:
                 continue
             metres = first.metres_per_px, second.metres_per_px
-            found = parts.medians(layers[i] - layers[j], math.hypot(*metres), parameters)
-            differences.append(Differences(_key(first), _key(second), metres, *found))
+            x, y, median, cells = parts.medians(layers[i] - layers[j], math.hypot(*metres), parameters)
+            differences.append(Differences(_key(first), _key(second), metres, x=x, y=y, median=median, cells=cells))
     return _Compared(differences, ground)
 
 

@@ -23,7 +23,7 @@ def lon_lat_bounds(scene: Scene, parameters: FusionParameters = FUSION) -> Bound
     """West, south, east, north of a scene's tiles with a margin, in degrees."""
     x0, y0, x1, y1 = enclosing([tile.bounds for tile in scene.tiles]).grown(parameters.terrain_margin_m)
     corners = geodetic_from_projected(scene.crs, np.array([[x0, y0], [x0, y1], [x1, y0], [x1, y1]]))
-    return Bounds(*map(float, (*corners.min(axis=0), *corners.max(axis=0))))
+    return Bounds.between(corners.min(axis=0), corners.max(axis=0))
 
 
 def own_surface(

@@ -8,8 +8,8 @@ neighbouring cells, and no map supports it. Each source has its own error model,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Tuple
+from dataclasses import dataclass, fields
+from typing import Iterable, Tuple
 
 import numpy as np
 
@@ -33,6 +33,11 @@ class SurfaceCells:
     score: FloatImage
     source: FloatImage
     error: FloatImage
+
+    @classmethod
+    def of(cls, arrays: Iterable[FloatImage]) -> SurfaceCells:
+        """From the arrays of all fields, in their order."""
+        return cls(**dict(zip((field.name for field in fields(cls)), arrays)))
 
     def facts(self) -> Tuple[FloatImage, ...]:
         """The confidence raster's bands, in their order."""

@@ -8,6 +8,7 @@ from typing import Any, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
+from numpy.typing import DTypeLike
 from osgeo import ogr
 
 from .. import __version__
@@ -23,7 +24,7 @@ from ..geometry.surface import Surface
 from ..geometry.vertical import DEVIATION_TAG, PLACED_TAG, TAG
 from ..imagery.confidence import CONFIDENCE_BANDS, SOURCE_BAND, Provenance
 from ..imagery.dem import load_surface, make_surface
-from ..imagery.raster import RasterWriter, created
+from ..imagery.raster import RasterFrame, RasterWriter, created
 from ..names import DAYS
 from ..scene import Scene
 from .coarse_means import CoarseMeans
@@ -76,24 +77,23 @@ class _Products:
         taken = {view.time.date().isoformat() for view in scene.views if view.time is not None}
         if taken:
             metadata[DAYS] = " ".join(sorted(taken))
-        kind, place = np.dtype(np.float32), cells.geotransform
 
         def raster(
-            path: str, names: Tuple[str, ...], unit: str = "", crs: str = wkt, values: Any = kind, **more: Any
+            path: str, names: Tuple[str, ...], kind: DTypeLike = np.float32, crs: str = wkt, **more: Any
         ) -> RasterWriter:
-            frame = shape, np.dtype(values), len(names), place, crs
-            file = created(path, *frame, descriptions=names, metadata=metadata, unit=unit, cog=True, **more)
+            frame = RasterFrame(shape, kind, len(names), cells.geotransform, crs)
+            file = created(path, frame, descriptions=names, metadata=metadata, cog=True, **more)
             return stack.enter_context(file)
 
-        dsm = raster(options.output, (f"height above the {datum.name} (m)",), "m", layout.file_crs)
+        dsm = raster(options.output, (f"height above the {datum.name} (m)",), crs=layout.file_crs, unit="m")
         confidence = raster(options.confidence, CONFIDENCE_BANDS, overviews="NEAREST") if options.confidence else None
         water = None
         if options.water_mask:
             names = ("water: 0 land, 1 water",)
-            water = raster(options.water_mask, names, values=np.uint8, nodata=_NO_MASK, overviews="NEAREST")
+            water = raster(options.water_mask, names, np.uint8, nodata=_NO_MASK, overviews="NEAREST")
         whole = None
         if options.fill == "all":
-            heights = created(f"{folder}/heights.tif", shape, kind, 1, None, "", compress=False)
+            heights = created(f"{folder}/heights.tif", RasterFrame(shape, np.float32), compress=False)
             whole = stack.enter_context(heights)
         return cls(crop, dsm, confidence, water, whole)
 
@@ -159,8 +159,18 @@ def write_products(
     filled, valid = valid - matched, valid + interpolated
     overlap = overlap_m2(scene, float(np.median(levels)))
     cells = max(round(overlap / layout.grid.cell**2), valid)  # holes are filled beyond it, too
-    counts = (cells, valid, 100.0 * valid / cells, matched, filled, interpolated, 0, joined.removed)
-    return FusionFacts(*counts, layout.grid.cell, layout.crs)
+    return FusionFacts(
+        cells=cells,
+        valid=valid,
+        valid_percent=100.0 * valid / cells,
+        matched=matched,
+        background=filled,
+        interpolated=interpolated,
+        points=0,
+        removed=joined.removed,
+        resolution=layout.grid.cell,
+        crs=layout.crs,
+    )
 
 
 def overlap_m2(scene: Scene, level: float) -> float:
@@ -201,7 +211,7 @@ def _terrain_of(scene: Scene, grid: CellGrid, crs: str, folder: str) -> Optional
         return None
     xs, ys = grid.centres()
     lon_lat = geodetic_from_projected(crs, np.array([(x, y) for x in (xs[0], xs[-1]) for y in (ys[0], ys[-1])]))
-    bounds = Bounds(*map(float, (*lon_lat.min(axis=0), *lon_lat.max(axis=0))))
+    bounds = Bounds.between(lon_lat.min(axis=0), lon_lat.max(axis=0))
     return load_surface(make_surface(scene.dem, bounds, grid.cell, f"{folder}/dem.tif"))
 
 

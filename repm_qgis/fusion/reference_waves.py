@@ -162,7 +162,8 @@ def _shaken(scene: Scene, registration: RegistrationFigures, waves: FoundWaves, 
         if own is not None:
             more = own[:, None] * along[view.name]
             more = more if jitter is None else more + jitter.coefficients
-            jitter = Jitter(*waves.ends[view.name], more)
+            first, last = waves.ends[view.name]
+            jitter = Jitter(first, last, more)
         views.append(view.with_pointing(view.pointing, jitter))
     matched = registration.matched_waves
     if registration.waves_m is None:

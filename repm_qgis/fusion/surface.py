@@ -35,7 +35,7 @@ class Block:
 
     def surface(self) -> SurfaceCells:
         """The surface of the block's own cells; heights are above the ellipsoid."""
-        return SurfaceCells(*np.load(self.path, allow_pickle=False))
+        return SurfaceCells.of(np.load(self.path, allow_pickle=False))
 
 
 def blocks_of(
@@ -63,8 +63,8 @@ class LightTask:
 def light_block(task: LightTask) -> None:
     """Write the brightness of a block into its file. Raises ImageError where a view cannot be read."""
     height = task.joined.first_heights(task.wide)
-    numbers = task.parameters.brightness, task.parameters.visibility
-    light = brightness(task.witnesses, task.grid.part(task.wide), height, *numbers)
+    p, grid = task.parameters, task.grid.part(task.wide)
+    light = brightness(task.witnesses, grid, height, p.brightness, p.visibility)
     task.block.keep(task.wide, light)
 
 

@@ -206,8 +206,16 @@ def _looks_of_water(
     colours = None
     if spectra is not None:
         colours = colours_of(spectra, grid, height, check, parameters)
-        known, colour = np.isfinite(colours.index), (colours.index, colours.infrared)
-        looks, threshold = wet_above(*colour, land, empty, grid.cell, spectra.calibrated, parameters.water)
+        known = np.isfinite(colours.index)
+        looks, threshold = wet_above(
+            colours.index,
+            colours.infrared,
+            land=land,
+            empty=empty,
+            cell=grid.cell,
+            calibrated=spectra.calibrated,
+            parameters=parameters.water,
+        )
         if known[empty].any():
             evidence = "no NDWI of water" if threshold is None else f"NDWI above {threshold:.2f}"
     # A pixel on the bank is what more than half of it shows.
@@ -238,8 +246,8 @@ def _dark_and_flat(
     twice = np.zeros(grid.shape, bool)
     for own, near, wide in parts(grid, p.window_cells // 2, parameters):
         check()
-        place = grid.part(wide), height[wide.slices]
-        seen = list(lights(witnesses, *place, bright, parameters.visibility, near.within(wide)))
+        asked = near.within(wide)
+        seen = list(lights(witnesses, grid.part(wide), height[wide.slices], bright, parameters.visibility, asked))
         if len(seen) < 2:
             continue
         inner, each = own.inside(near), np.stack(seen)

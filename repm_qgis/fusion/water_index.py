@@ -107,7 +107,8 @@ def colours_of(
         seen = list(spectra.seen(grid.part(wide), height[wide.slices], own.within(wide), parameters))
         if seen:
             found[(slice(None), *own.slices)] = np.stack([median_of_known(np.stack(each)) for each in zip(*seen)])
-    return Colours(*found)
+    index, infrared, total = found
+    return Colours(index=index, infrared=infrared, total=total)
 
 
 def wet_above(

@@ -44,7 +44,7 @@ class FinerCells:
         """The surface's cells that a window of fine cells lies between."""
         if self.same:
             return window
-        ends = [self._between(*each) for each in self._axes(window)]
+        ends = self._on_axes(window)
         (left, right), (top, bottom) = ((int(low.min()), int(low.max()) + 2) for low, _ in ends)
         return Window.spanning(left, top, min(right, self.coarse.size[0]), min(bottom, self.coarse.size[1]))
 
@@ -88,15 +88,14 @@ class FinerCells:
             spread: Floats = np.where(weights > 0, total / weights, np.nan)
         return spread
 
-    def _axes(self, window: Window) -> Tuple[Tuple[int, int, int], Tuple[int, int, int]]:
-        """First cell, number of cells and how many the surface has, along a row and along a column."""
+    def _on_axes(self, window: Window) -> Tuple[Tuple[IntArray, Floats], Tuple[IntArray, Floats]]:
+        """As :meth:`_between`, of the columns and of the rows of a window."""
         columns, rows = self.coarse.size
-        return (window.col, window.width, columns), (window.row, window.height, rows)
+        return self._between(window.col, window.width, columns), self._between(window.row, window.height, rows)
 
     def _from(self, place: Window, window: Window) -> List[Tuple[IntArray, Floats]]:
-        """As :meth:`_between`, of the columns and of the rows of a window, counted from a place's first ones."""
-        found = (self._between(*each) for each in self._axes(window))
-        return [(low - first, share) for (low, share), first in zip(found, (place.col, place.row))]
+        """As :meth:`_on_axes`, counted from a place's first column and row."""
+        return [(low - first, share) for (low, share), first in zip(self._on_axes(window), (place.col, place.row))]
 
     def _between(self, first: int, count: int, size: int) -> Tuple[IntArray, Floats]:
         """(count,) the surface's cell before each fine one's centre, and the share of the next one, 0..1."""

@@ -37,7 +37,7 @@ def shift_in(shift: GroundShift, crs: str, other: str, place: Tuple[float, float
 def moved_area(wkt: str, shift: GroundShift) -> str:
     """An area, as WKT in the shift's CRS, moved east and north."""
     geometry = ogr.CreateGeometryFromWkt(wkt)
-    _move(geometry, *shift.moved[:2])
+    _move(geometry, shift.moved[0], shift.moved[1])
     return str(geometry.ExportToWkt())
 
 

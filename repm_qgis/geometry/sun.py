@@ -40,13 +40,13 @@ def sun_position(moment: datetime, lon: float, lat: float) -> Tuple[float, float
 
 def mean_position(positions: Sequence[Tuple[float, float]]) -> Tuple[float, float]:
     """The mean of one or more positions of the sun (azimuth, elevation), degrees: the direction of their sum."""
-    east, north, up = np.sum([_towards(*position) for position in positions], axis=0)
+    east, north, up = np.sum([_towards(position) for position in positions], axis=0)
     return math.degrees(math.atan2(east, north)) % 360.0, math.degrees(math.atan2(up, math.hypot(east, north)))
 
 
 def sun_angle(first: Tuple[float, float], second: Tuple[float, float]) -> float:
     """The angle between two positions of the sun (azimuth, elevation), degrees."""
-    return math.degrees(math.acos(max(-1.0, min(1.0, float(_towards(*first) @ _towards(*second))))))
+    return math.degrees(math.acos(max(-1.0, min(1.0, float(_towards(first) @ _towards(second))))))
 
 
 def shadow_shift(first: Tuple[float, float], second: Tuple[float, float]) -> float:
@@ -54,11 +54,11 @@ def shadow_shift(first: Tuple[float, float], second: Tuple[float, float]) -> flo
 
     Both positions of the sun must be above the horizon.
     """
-    ends = [-sun[:2] / sun[2] for sun in (_towards(*first), _towards(*second))]
+    ends = [-sun[:2] / sun[2] for sun in (_towards(first), _towards(second))]
     return float(np.linalg.norm(ends[0] - ends[1]))
 
 
-def _towards(azimuth: float, elevation: float) -> FloatArray:
-    """(3,) unit vector to the sun: east, north, up."""
-    a, e = math.radians(azimuth), math.radians(elevation)
+def _towards(position: Tuple[float, float]) -> FloatArray:
+    """(3,) unit vector to the sun (azimuth, elevation): east, north, up."""
+    a, e = map(math.radians, position)
     return np.array([math.sin(a) * math.cos(e), math.cos(a) * math.cos(e), math.sin(e)])

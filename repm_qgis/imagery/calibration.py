@@ -57,7 +57,8 @@ def calibration(dataset: gdal.Dataset, path: str, bands: Dict[str, int]) -> Opti
     scales = [(handle.GetScale(), handle.GetOffset()) for handle in handles]
     if any(scale is None or not _usable(scale) for scale, _ in scales):
         return None
-    return Calibration(*zip(*((float(scale), float(offset or 0.0)) for scale, offset in scales)))
+    offsets = tuple(float(offset or 0.0) for _, offset in scales)
+    return Calibration(gains=tuple(float(scale) for scale, _ in scales), offsets=offsets)
 
 
 def _in_dimap(text: str, names: Sequence[str]) -> Optional[Calibration]:
@@ -80,7 +81,7 @@ def _in_dimap(text: str, names: Sequence[str]) -> Optional[Calibration]:
                 light = stated if stated is not None and _usable(stated) else SUN[name]
             found.append((1.0 / gain / light, bias / light))
         else:
-            return Calibration(*zip(*found))
+            return Calibration(gains=tuple(gain for gain, _ in found), offsets=tuple(offset for _, offset in found))
     return None
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..contracts.arrays import FloatImage, Mask, Size, Window
 from .parameters import COLLARS, CollarParameters
-from .raster import Image, MaskedImage, created, opened_masked, read
+from .raster import Image, MaskedImage, RasterFrame, created, opened_masked, read
 
 
 def write_collar_mask(
@@ -43,7 +43,7 @@ def write_collar_mask(
         if not _may_have_any(dataset, looked_at, band, parameters):
             return 0.0
         black = 0
-        with created(target, (height, width), np.dtype(np.uint8), 1, None, "", nodata=None) as raster:
+        with created(target, RasterFrame((height, width), np.uint8), nodata=None) as raster:
             if part is not None and isinstance(dataset, MaskedImage):
                 for row in range(0, height, parameters.strip_rows):  # it holds outside the part, too
                     strip = Window(0, row, width, min(parameters.strip_rows, height - row))

@@ -52,13 +52,13 @@ def confidence_bands(dataset: gdal.Dataset, option: str) -> ConfidenceBands:
     Raises ImageError, with the option's name, where there are several bands and none has the name of the errors.
     """
     names: List[str] = [as_text(dataset.GetRasterBand(i).GetDescription()) for i in range(1, dataset.RasterCount + 1)]
-    places = [
+    error, source, maps = (
         next((band for band, name in enumerate(names, start=1) if name.startswith(wanted)), 0)
         for wanted in (_ERROR, _SOURCE, CONFIDENCE_BANDS[0])
-    ]
-    if not places[0] and len(names) > 1:
+    )
+    if not error and len(names) > 1:
         raise ImageError(
             f"'{dataset.GetDescription()}' of {option} has {len(names)} bands, and none is called '{_ERROR}': give the "
             "confidence raster of the DSM, or one band of errors."
         )
-    return ConfidenceBands(places[0] or 1, *places[1:])
+    return ConfidenceBands(error=error or 1, source=source, maps=maps)

@@ -84,14 +84,14 @@ def read_heights(
     -9999 and the like count as none if no nodata value is declared. ``size`` (columns, rows) reads means, as
     :func:`~repm_qgis.imagery.raster.read` does. Raises ImageError for a damaged file, an unknown unit or no scale.
     """
-    return _scaled(_known(dataset, window, band, size), *to_metres(dataset, band))
+    return _scaled(_known(dataset, window, band, size), to_metres(dataset, band))
 
 
 def read_values(
     dataset: gdal.Dataset, window: Optional[Window] = None, band: int = 1, size: Optional[Size] = None
 ) -> FloatImage:
     """Values of a band that are no heights, in its own unit, else as :func:`read_heights` gives them."""
-    return _scaled(_known(dataset, window, band, size), *scaling(dataset, band))
+    return _scaled(_known(dataset, window, band, size), scaling(dataset, band))
 
 
 def _known(dataset: gdal.Dataset, window: Optional[Window], band: int, size: Optional[Size]) -> FloatImage:
@@ -102,8 +102,9 @@ def _known(dataset: gdal.Dataset, window: Optional[Window], band: int, size: Opt
     return values
 
 
-def _scaled(values: FloatImage, factor: float, added: float) -> FloatImage:
-    if (factor, added) == (1.0, 0.0):
+def _scaled(values: FloatImage, scale: Tuple[float, float]) -> FloatImage:
+    if scale == (1.0, 0.0):
         return values  # to the bit
+    factor, added = scale
     heights: FloatImage = (values.astype(np.float64) * factor + added).astype(np.float32)
     return heights

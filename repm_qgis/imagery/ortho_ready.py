@@ -101,7 +101,8 @@ def plane_of(dataset: gdal.Dataset, path: str, rpc: Rpc, height: Optional[float]
     if not (facts.ready or height is not None or _is_map_product(crs, transform)):
         return None  # a sensor's image with a rough place on the map, as many programs write
     if facts.height is not None:
-        return MapPlane(crs, transform, *facts.height)
+        metres, source = facts.height
+        return MapPlane(crs, transform, metres, source)
     return assumed if height is None else MapPlane(crs, transform, height, OPTION)
 
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 import hashlib
 import os
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Callable, Iterator, List, Mapping, Optional, Sequence, Tuple, Union
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 from osgeo import gdal
 
 from ..contracts.arrays import FloatImage, Mask, Size, Window
@@ -286,21 +287,31 @@ def write(
 
     Raises WorkspaceError where the file cannot be written. Returns ``path``.
     """
-    (height, width), kind = bands[0].shape, bands[0].dtype
-    with created(path, (height, width), kind, len(bands), geotransform, crs_wkt, **options) as writer:
+    frame = RasterFrame(bands[0].shape, bands[0].dtype, len(bands), geotransform, crs_wkt)
+    with created(path, frame, **options) as writer:
         for index, values in enumerate(bands, start=1):
             writer.write(values, band=index)
     return path
 
 
+@dataclass(frozen=True)
+class RasterFrame:
+    """The arrays that a new raster holds: ``bands`` of one ``shape`` (rows, columns), and where they lie on the ground.
+
+    ``geotransform`` None: an image in its sensor's geometry.
+    """
+
+    shape: Tuple[int, ...]
+    dtype: DTypeLike
+    bands: int = 1
+    geotransform: Optional[Sequence[float]] = None
+    crs_wkt: str = ""
+
+
 @contextmanager
 def created(
     path: str,
-    shape: Tuple[int, int],
-    dtype: np.dtype[Any],
-    bands: int,
-    geotransform: Optional[Sequence[float]],
-    crs_wkt: str,
+    frame: RasterFrame,
     *,
     nodata: Optional[float] = NODATA,
     descriptions: Sequence[str] = (),
@@ -313,23 +324,23 @@ def created(
 ) -> Iterator[RasterWriter]:
     """A new tiled GeoTIFF to fill by window: it gets its name only if the block ends without an error.
 
-    ``geotransform`` None: an image in its sensor's geometry. ``cog``: a cloud optimized GeoTIFF, with overviews and
+    ``cog``: a cloud optimized GeoTIFF, with overviews and
     statistics, for products that people look at; it is a copy of the filled one, because windows may be filled in any
     order. ``own``: for this machine to read again; compressed in a third of the time, where its GDAL has ZSTD.
     ``overviews`` is GDAL's resampling for these; numbers that name something must not be averaged.
     """
     temporary = temporary_name(path, own)
     whole = f"{os.path.splitext(temporary)[0]}.cog{os.path.splitext(temporary)[1]}"
-    writer = RasterWriter(_create(temporary, path, shape, dtype=dtype, bands=bands, compress=compress, own=own), path)
+    writer = RasterWriter(_create(temporary, path, frame, compress=compress, own=own), path)
     try:
-        writer.describe(geotransform, crs_wkt, nodata, descriptions, metadata or {}, unit)
+        writer.describe(frame.geotransform, frame.crs_wkt, nodata, descriptions, metadata or {}, unit)
         yield writer
         writer.flush()
         if cog:
             writer.set_statistics()
         writer.close()
         if cog:
-            _to_cog(temporary, whole, path, dtype, overviews)
+            _to_cog(temporary, whole, path, np.dtype(frame.dtype), overviews)
             os.replace(whole, temporary)
         take_name(temporary, path, own)
     finally:
@@ -352,9 +363,8 @@ def _to_cog(source: str, target: str, path: str, dtype: np.dtype[Any], overviews
         _require_written(path, _attempt(copy)[1])
 
 
-def _create(
-    temporary: str, path: str, shape: Tuple[int, int], *, dtype: np.dtype[Any], bands: int, compress: bool, own: bool
-) -> gdal.Dataset:
+def _create(temporary: str, path: str, frame: RasterFrame, *, compress: bool, own: bool) -> gdal.Dataset:
+    dtype = np.dtype(frame.dtype)
     kinds = {"float32": gdal.GDT_Float32, "float64": gdal.GDT_Float64}
     kinds.update({"uint8": gdal.GDT_Byte, "uint16": gdal.GDT_UInt16, "int32": gdal.GDT_Int32})
     options = ["TILED=YES", "BIGTIFF=IF_SAFER"]
@@ -362,7 +372,7 @@ def _create(
         options += ["COMPRESS=ZSTD", "ZSTD_LEVEL=1"]
     elif compress:
         options += ["COMPRESS=DEFLATE", "ZLEVEL=1", f"PREDICTOR={3 if dtype.kind == 'f' else 2}"]
-    size = (shape[1], shape[0], bands, kinds[dtype.name])
+    size = (frame.shape[1], frame.shape[0], frame.bands, kinds[dtype.name])
     dataset, reason = _attempt(lambda: gdal.GetDriverByName("GTiff").Create(temporary, *size, options))
     if dataset is None:
         raise not_written(path, reason)

@@ -52,14 +52,27 @@ class ColmapBackend:
         _require_alike(job.scene, job.pairs)
         chosen, scene = job.options, job.scene.lean()
         options = PatchMatchOptions(chosen.geometric, chosen.window_radius, chosen.gpu_memory, chosen.colmap_fusion)
-        folder, colmap, stereo, tasks = job.folder, job.parameters.colmap, job.parameters.stereo, []
+        tasks = []
         for tile in job.tiles:
-            sources, ground = _partners(tile, job.pairs), (tile.id, tile.bounds, tile.altitudes)
+            sources = _partners(tile, job.pairs)
             if sources:
                 stretches = {name: job.stretches[name] for name in sorted(sources)}
-                key = fingerprint(job.key, tile.id, sources)
-                tasks.append(GpuTask(scene, *ground, sources, stretches, options, folder, key, colmap, stereo))
-        return MatchingResult(*match_tiles(tasks, self.devices(), self.run, progress))
+                task = GpuTask(
+                    scene=scene,
+                    tile=tile.id,
+                    bounds=tile.bounds,
+                    altitudes=tile.altitudes,
+                    sources=sources,
+                    stretches=stretches,
+                    options=options,
+                    folder=job.folder,
+                    key=fingerprint(job.key, tile.id, sources),
+                    parameters=job.parameters.colmap,
+                    stereo=job.parameters.stereo,
+                )
+                tasks.append(task)
+        records, failed = match_tiles(tasks, self.devices(), self.run, progress)
+        return MatchingResult(records, failed)
 
     def height_source(
         self, scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str, parameters: MatchingParameters

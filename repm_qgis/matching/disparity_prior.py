@@ -171,10 +171,10 @@ def find_prior(
     residual = _residual(coarse.disparity, ground, p)
     if _is_town(residual, coarse.disparity[np.isfinite(coarse.disparity)], p):
         return None
-    ends = _residual_range(residual, geometry, p)
-    if ends[1] - ends[0] > p.least_gain * (coarse.search[1] - coarse.search[0]):
+    low, high = ends = _residual_range(residual, geometry, p)
+    if high - low > p.least_gain * (coarse.search[1] - coarse.search[0]):
         return None
-    return DisparityPrior(_nodes(ground, window, ends, step_px), *ends, (window[0], window[1]))
+    return DisparityPrior(_nodes(ground, window, ends, step_px), low, high, (window.col, window.row))
 
 
 def _ground(coarse: FloatImage, parameters: PriorParameters) -> Optional[FloatArray]:

@@ -66,12 +66,22 @@ class PairBackend:
         scene = job.scene.lean()
         tasks = []
         for tile, pair in product(job.tiles, job.pairs):
-            names, ground = pair.names, (tile.id, tile.bounds, tile.altitudes)
             if pair.first in tile.views and pair.second in tile.views:
                 stretches = (job.stretches[pair.first], job.stretches[pair.second])
                 path = os.path.join(job.folder, f"{tile.id}_{pair.first}_{pair.second}.tif")
-                key = fingerprint(job.key, tile.id, *names)
-                tasks.append(PairTask(self, scene, *ground, names, stretches, path, key, job.parameters))
+                task = PairTask(
+                    backend=self,
+                    scene=scene,
+                    tile=tile.id,
+                    bounds=tile.bounds,
+                    altitudes=tile.altitudes,
+                    pair=pair.names,
+                    stretches=stretches,
+                    path=path,
+                    key=fingerprint(job.key, tile.id, pair.first, pair.second),
+                    parameters=job.parameters,
+                )
+                tasks.append(task)
         try:
             records = run_tasks(match_pair_over_tile, tasks, _workers(tasks, job, progress), progress, _describe)
         except BaseException:
@@ -128,7 +138,8 @@ def _workers(tasks: List[PairTask], job: MatchingJob, progress: Progress) -> int
     slope = max(pair.base_to_height for pair in job.pairs)
     disparities = (task.altitudes[1] - task.altitudes[0]) * slope / task.scene.matched_gsd_m(task.pair)
     side = max(task.bounds[2] - task.bounds[0], task.bounds[3] - task.bounds[1]) / task.scene.gsd_m
-    each = matching_mib(*frame_size(task), disparities, task.parameters.sgm.paths)
+    width, height = frame_size(task)
+    each = matching_mib(width, height, disparities, task.parameters.sgm.paths)
     return workers_within(job.options.workers, tile_work(math.ceil(side), each), job.options.memory, progress)
 
 
@@ -200,14 +211,14 @@ def sample_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> 
 
     @cache
     def whole() -> ReducedPair:
-        a, b = (_reduced(*part, p.factor) for part in zip((first, second), maps, sizes))
+        a, b = (_reduced(source, at, size, p.factor) for source, at, size in zip((first, second), maps, sizes))
         return ReducedPair(a, b, (low // p.factor, high // p.factor))
 
     window, prior = Window(0, 0, width, height), None
     if needs_coarse_level(search, (height, width), p):
         match, sign = task.backend.pair_matcher, geometry.height_sign
         coarse = coarse_level(whole(), (height, width), sign, match, task.parameters)
-        bounds = Bounds(*task.bounds).grown(task.parameters.stereo.tile_margin_px * task.scene.matched_gsd_m(task.pair))
+        bounds = task.bounds.grown(task.parameters.stereo.tile_margin_px * task.scene.matched_gsd_m(task.pair))
         window = coarse.window(bounds, geometry, p)
         prior = find_prior(coarse, window, geometry, p)
     left, top, width, height = window
@@ -257,7 +268,8 @@ def _whole_range(geometry: PairGeometry, parameters: PriorParameters) -> Tuple[i
 def _source(task: PairTask, number: int, to_original: PixelMap, size: Size) -> SourcePixels:
     """The intensities of a view that a frame of ``size`` is sampled from, as coarse as the frame is."""
     view = task.scene.view(task.pair[number])
-    ratio, stretch = reductions(*map(task.scene.view, task.pair))[number], task.stretches[number]
+    one, two = map(task.scene.view, task.pair)
+    ratio, stretch = reductions(one, two)[number], task.stretches[number]
     with opened_masked(view.image, view.mask) as dataset:
         return source_pixels(dataset, view.band, to_original, size, lambda seen: coarsened(stretch.apply(seen), ratio))
 
@@ -273,5 +285,5 @@ def rectified_over_tile(
 ) -> Optional[RectifiedPair]:
     """The rectified pair in which a tile is matched: its ground with the matching margin; None where unseen."""
     first, second = (scene.view(name) for name in pair)
-    wide = Bounds(*bounds).grown(parameters.tile_margin_px * scene.matched_gsd_m(pair))
+    wide = bounds.grown(parameters.tile_margin_px * scene.matched_gsd_m(pair))
     return rectified_pair(scene, first, second, wide, altitudes, parameters)

@@ -13,7 +13,7 @@ from ..imagery.warping import gaussian_mean
 from ..numerics.robust import NMAD_FACTOR
 from .detail import bilateral_mean, tail, without_noise
 from .disparity_map import matched_positions
-from .parameters import MATCHING, SubpixelParameters
+from .parameters import MATCHING, DetailParameters, SubpixelParameters
 
 
 def subpixel_disparity(
@@ -35,7 +35,7 @@ def subpixel_disparity(
         "step": step.moved,
         "median": lambda found: _edge_preserving_median(found, p),
         "mean": lambda found: bilateral_mean(found, p.smooth_sigma_px, p.alike_sigma_px, p.smooth_window_px),
-        "detail": lambda found: without_noise(found, *step.noise(found), p),
+        "detail": lambda found: step.without_noise(found, p),
         "planes": lambda found: _planes(found, step, p),
     }
     for operation in parameters.operations:
@@ -47,9 +47,9 @@ def _planes(disparity: FloatImage, step: _Step, parameters: SubpixelParameters) 
     """Disparities of a narrow pair: detail that noise may explain is removed where walls show that there is a town."""
     p = parameters.planes
     if tail(disparity, parameters) <= p.least_tail:
-        return without_noise(disparity, *step.noise(disparity), parameters)
+        return step.without_noise(disparity, parameters)
     for _ in range(p.passes):  # with less noise, more neighbours are alike
-        disparity = without_noise(disparity, *step.noise(disparity), parameters, p.kept)
+        disparity = step.without_noise(disparity, parameters, p.kept)
     return disparity
 
 
@@ -91,6 +91,13 @@ class _Step:
         self._last = _, covariance, power, noise = self._statistics(disparity)
         moved: FloatImage = disparity - np.clip(covariance / (power + self._noise_share * noise), -most, most)
         return moved
+
+    def without_noise(
+        self, disparity: FloatImage, parameters: SubpixelParameters, chosen: Optional[DetailParameters] = None
+    ) -> FloatImage:
+        """Disparities without the detail that is no more than the noise of these images."""
+        variance, area_px = self.noise(disparity)
+        return without_noise(disparity, variance, area_px, parameters, chosen)
 
     def noise(self, disparity: FloatImage) -> Tuple[FloatImage, float]:
         """(H, W) variance of the disparities, px^2, and the variance of the Gaussian window that makes white noise

@@ -73,7 +73,15 @@ def measure_pair(task: PairTask) -> Optional[Overlap]:
         return None
     seen = sum(window.width * window.height for window in windows)
     cells_of_all = round(found.size * task.window.width * task.window.height / seen)
-    return Overlap(*task.numbers, cells_of_all, float(np.median(found)), nmad(found), _displacement(task))
+    first_number, second_number = task.numbers
+    return Overlap(
+        first=first_number,
+        second=second_number,
+        cells=cells_of_all,
+        median=float(np.median(found)),
+        nmad=nmad(found),
+        displaced=_displacement(task),
+    )
 
 
 def _displacement(task: PairTask) -> Optional[Tuple[float, float]]:

@@ -191,7 +191,7 @@ def _bounds_in(grid: Grid, crs: pyproj.CRS) -> Bounds:
     try:
         bounds = Bounds(*transformer.transform_bounds(*grid.bounds, densify_pts=21))
     except ProjError:
-        bounds = Bounds(*(math.nan,) * 4)
+        bounds = Bounds(math.nan, math.nan, math.nan, math.nan)
     if not np.isfinite(bounds).all():
         raise ImageError(f"The DSM '{grid.path}' has no place in {crs.name}: choose a CRS that suits all DSMs.")
     return bounds

@@ -7,7 +7,7 @@ import re
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ContextManager, Dict, Iterator, List, Sequence, Tuple
+from typing import ContextManager, Dict, Iterator, List, Sequence, Tuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from ..contracts.options import MosaicOptions
 from ..contracts.products import product, tiles_folder
 from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..geometry.vertical import TAG
-from ..imagery.raster import RasterWriter, created
+from ..imagery.raster import RasterFrame, RasterWriter, created
 from ..imagery.vrt import Mosaicked, vrt_text
 from ..reports.styles import write_style
 from ..runtime.parallel import run_tasks, run_whole
@@ -58,9 +58,15 @@ class MosaicRaster:
 
     def created(self, path: str, grid: CellGrid) -> ContextManager[RasterWriter]:
         """The raster, or a part of it, on cells of its own."""
-        frame = grid.shape, np.dtype(np.float32), len(self.bands), grid.geotransform, self.crs
-        facts: Dict[str, Any] = {"descriptions": self.bands, "metadata": self.metadata, "unit": self.unit}
-        return created(path, *frame, **facts, cog=True, overviews=self.overviews)
+        return created(
+            path,
+            RasterFrame(grid.shape, np.float32, len(self.bands), grid.geotransform, self.crs),
+            descriptions=self.bands,
+            metadata=self.metadata,
+            unit=self.unit,
+            cog=True,
+            overviews=self.overviews,
+        )
 
     def values(self, path: str) -> Iterator[FloatImage]:
         """The bands of a block, NaN where it has no height."""

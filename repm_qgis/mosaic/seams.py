@@ -58,7 +58,7 @@ def mosaicked(
     known = np.isfinite(heights)
     side = 2 * parameters.feather_cells + 1
     usual = np.stack([cv2.blur(error, (side, side)) for error in errors])
-    score = np.stack([_inside(*each, parameters) for each in zip(known, interior)]) / usual
+    score = np.stack([_inside(cells, far, parameters) for cells, far in zip(known, interior)]) / usual
     score[~known] = -1.0
     source = _around_objects(heights, errors, usual, score, parameters)
     height = _feathered(heights, errors, source, parameters)

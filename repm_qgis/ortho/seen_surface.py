@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Optional, Sequence, Tuple
+from typing import Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
@@ -18,7 +18,7 @@ from ..geometry.finer_cells import FinerCells
 from ..geometry.footprints import ray_slope
 from ..geometry.frames import geodetic_from_projected
 from ..geometry.gridding import surface_step
-from ..imagery.raster import NODATA, created, opened
+from ..imagery.raster import NODATA, RasterFrame, created, opened
 from ..runtime.parallel import run_whole
 from ..runtime.progress import Progress
 from ..scene import View
@@ -125,9 +125,9 @@ def _written(task: Tuple[str, Blocks], progress: Progress) -> None:
         metadata = dataset.GetMetadata()
     kept = {name: value for name, value in metadata.items() if name in ("REPM_SCENE", "REPM_ENGINE")}
     grid, wkt = blocks.grid, pyproj.CRS.from_user_input(dsm.layout.crs).to_wkt()
-    frame: Tuple[Any, ...] = grid.shape, np.dtype(blocks.kind), len(blocks.names), grid.geotransform, wkt
+    frame = RasterFrame(grid.shape, blocks.kind, len(blocks.names), grid.geotransform, wkt)
     empty = NODATA if blocks.nodata is None else blocks.nodata
-    with created(path, *frame, nodata=empty, descriptions=blocks.names, metadata=kept, cog=True) as raster:
+    with created(path, frame, nodata=empty, descriptions=blocks.names, metadata=kept, cog=True) as raster:
         if blocks.natural:
             raster.set_natural_colours()
         for own, file in blocks.parts:

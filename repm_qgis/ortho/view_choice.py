@@ -53,8 +53,8 @@ def chosen_views(
     for backwards in (False, True):
         along = slice(None, None, -1 if backwards else 1)
         total[along] += _swept(costs[along], differences[along], parameters.seam)
-        across = costs[:, along].swapaxes(0, 1), differences[:, along].swapaxes(0, 1)
-        total[:, along] += _swept(*across, parameters.seam).swapaxes(0, 1)
+        turned = _swept(costs[:, along].swapaxes(0, 1), differences[:, along].swapaxes(0, 1), parameters.seam)
+        total[:, along] += turned.swapaxes(0, 1)
     # Whatever the neighbours have, a cell is taken from a view that sees it.
     total[~np.moveaxis(seen, 0, -1)] = np.inf
     return np.where(labels >= 0, np.argmin(total, axis=-1), -1).astype(np.int8)

@@ -67,9 +67,9 @@ def sweep_altitudes(
     parts = _of_block(views, pairs, bounds, crs, search, parameters)
     if parts is not None:
         every = []
-        for k, (part, pair) in enumerate(parts):
+        for k, (part, (first, second, base_to_height)) in enumerate(parts):
             own = Part(progress, k / len(parts), (k + 1) / len(parts))
-            every.append(_swept(*pair, crs, part, search, own, parameters, altitudes))
+            every.append(_swept(first, second, base_to_height, crs, part, search, own, parameters, altitudes))
         return _joined([each for each in every if each is not None])
     for first, second, base_to_height in pairs[: parameters.pairs]:
         found = _swept(first, second, base_to_height, crs, bounds, search, progress, parameters, altitudes)
@@ -132,8 +132,13 @@ def _joined(found: Sequence[SweepResult]) -> Optional[SweepResult]:
     if not found:
         return None
     ends = min(each.altitudes[0] for each in found), max(each.altitudes[1] for each in found)
-    counts = sum(each.matched for each in found), sum(each.cells for each in found)
-    return SweepResult(ends, *counts, max(e.step_m for e in found), np.concatenate([each.points for each in found]))
+    return SweepResult(
+        altitudes=ends,
+        matched=sum(each.matched for each in found),
+        cells=sum(each.cells for each in found),
+        step_m=max(each.step_m for each in found),
+        points=np.concatenate([each.points for each in found]),
+    )
 
 
 def _swept(
@@ -272,7 +277,7 @@ def sweep_patches(bounds: Bounds, gsd: float, parameters: SweepParameters) -> Li
 def _middle(patch: Bounds) -> Bounds:
     """The inner quarter of a patch."""
     low, high = np.array(patch[:2]), np.array(patch[2:])
-    return Bounds(*map(float, (*(0.75 * low + 0.25 * high), *(0.25 * low + 0.75 * high))))
+    return Bounds.between(0.75 * low + 0.25 * high, 0.25 * low + 0.75 * high)
 
 
 def _sweep_patch(sweep: _Sweep, patch: Bounds, shift: Tuple[int, int]) -> Tuple[FloatArray, FloatArray]:

@@ -142,8 +142,8 @@ def _place(views: Sequence[View], least_px: float, parameters: PlanningParameter
     pairs = []
     for pair, ground, percent in found:
         is_matched = pair.names in ranks
-        worth = _worth(pair, percent, gsd, is_matched, parameters)
-        pairs.append(PairFacts(pair, ground, percent, is_matched, *worth))
+        worth, reason = _worth(pair, percent, gsd, is_matched, parameters)
+        pairs.append(PairFacts(pair, ground, percent, chosen=is_matched, worth=worth, reason=reason))
     pairs.sort(
         key=lambda facts: (
             (YES, CARE, NO).index(facts.worth),

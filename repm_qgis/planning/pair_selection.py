@@ -187,10 +187,21 @@ def _place_of(scene: Scene, first: ogr.Geometry, second: ogr.Geometry) -> Tuple[
 
 def pair_at(first: View, second: View, place: Tuple[float, float, float], tiles: int, share: float) -> ViewPair:
     """Two views as they look at a place (longitude, latitude, height): angles, and how far time and sun differ."""
-    angles = convergence(first, second, *place)
-    differing = _apart(first, second, *place[:2])
-    coarser = max(first.gsd_m, second.gsd_m)
-    return ViewPair(first.name, second.name, *angles, tiles, share, *differing, gsd_m=coarser)
+    lon, lat, height = place
+    angle, base_to_height = convergence(first, second, lon, lat, height)
+    days, sun, shadow = _apart(first, second, lon, lat)
+    return ViewPair(
+        first=first.name,
+        second=second.name,
+        angle_deg=angle,
+        base_to_height=base_to_height,
+        tiles=tiles,
+        share=share,
+        days=days,
+        sun_deg=sun,
+        shadow=shadow,
+        gsd_m=max(first.gsd_m, second.gsd_m),
+    )
 
 
 def shared_part(first: ogr.Geometry, second: ogr.Geometry, area: Optional[ogr.Geometry] = None) -> float:

@@ -110,7 +110,7 @@ def _from_dem(
     corners = np.array([[x, y] for x in (around.xmin, around.xmax) for y in (around.ymin, around.ymax)])
     lon_lat = geodetic_from_projected(crs, corners)
     surface = surface_of(
-        dem, Bounds(*map(float, (*lon_lat.min(axis=0), *lon_lat.max(axis=0)))), sweep.reduction * views[0].gsd_m
+        dem, Bounds.between(lon_lat.min(axis=0), lon_lat.max(axis=0)), sweep.reduction * views[0].gsd_m
     )
     added, count = 0.0, 0
     fine = replace(sweep, reduction=parameters.fine_reduction)

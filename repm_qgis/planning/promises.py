@@ -64,8 +64,8 @@ def promised(views: Sequence[View], parameters: PlanningParameters = PLANNING) -
     published = published_vertical(promises)
     if published is not None:
         return Deviations(horizontal, published / parameters.promises.le90)
-    place = *middle_of(views), sum(view.rpc.height_off for view in views) / len(views)
-    ratios = [convergence(first, second, *place)[1] for first, second in combinations(views, 2)]
+    (lon, lat), height = middle_of(views), sum(view.rpc.height_off for view in views) / len(views)
+    ratios = [convergence(first, second, lon, lat, height)[1] for first, second in combinations(views, 2)]
     pairs = parameters.pairs
     ratio = max([pairs.least_base_to_height, *(found for found in ratios if found <= pairs.wide)])
     return Deviations(horizontal, math.sqrt(2.0) * horizontal / ratio)

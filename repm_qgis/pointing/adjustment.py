@@ -289,12 +289,21 @@ class _Solution:
         while True:
             self.control = [gcp for k, gcp in enumerate(everyone) if k not in outside]
             self._solve(_tukey)
-            known = self._covariance, self.control_noise_px, self._redundancy, len(everyone), self._noise
-            wrong = [k for k in outside if contradicts(self._equations(everyone[k]), *known)]
+            wrong = [k for k in outside if self._contradicts(everyone[k], len(everyone))]
             if len(wrong) == len(outside):
                 break
             outside = wrong
         self.rejected = tuple(everyone[k].id for k in outside)
+
+    def _contradicts(self, gcp: Gcp, points: int) -> bool:
+        return contradicts(
+            self._equations(gcp),
+            self._covariance,
+            noise_px=self.control_noise_px,
+            redundancy=self._redundancy,
+            points=points,
+            parameters=self._noise,
+        )
 
     def _equations(self, gcp: Gcp) -> ControlEquations:
         """A control point's observations in the views that see it, linear in all views' corrections."""
@@ -441,8 +450,8 @@ class _Solution:
     ) -> None:
         """Set the control points' noise and its redundancy."""
         residuals = [point.after(step) for point in control]
-        known = self._covariance, self.control_noise_px
-        self._redundancy = sum(point.redundancy(*known, part) for point, part in zip(control, share))
+        noise = self.control_noise_px
+        self._redundancy = sum(point.redundancy(self._covariance, noise, part) for point, part in zip(control, share))
         if robust:
             self.control_noise_px = first_noise(residuals, self._noise)
         else:
@@ -501,10 +510,18 @@ class _Solution:
             ground[group.members] = group.ground
         pointing = {view.name: self._pointing(i) for i, view in enumerate(self.views)}
         sizes = {view.name: view.size for view in self.views}
-        jitter = self.jitter
-        noise, residuals = self.control_noise_px if self.control else None, self._residuals()
-        facts = ground, residuals, self.before, self.rejected, noise, sizes, jitter
-        return Adjustment(pointing, self.model, reason, *facts)
+        return Adjustment(
+            pointing=pointing,
+            model=self.model,
+            reason=reason,
+            ground=ground,
+            residual_px=self._residuals(),
+            before_px=self.before,
+            rejected=self.rejected,
+            control_noise_px=self.control_noise_px if self.control else None,
+            sizes=sizes,
+            jitter=self.jitter,
+        )
 
     def _pointing(self, i: int) -> FloatArray:
         """(2, 3) affine map from the pixel of the vendor's RPC to the real one."""

@@ -146,8 +146,8 @@ def _patch_views(
     scene, ground, xy = patch.scene, patch.ground, patch.xy
     ends = np.percentile(ground[:, 2], (parameters.tail_percent, 100.0 - parameters.tail_percent))
     altitudes = float(ends[0] - headroom_m), float(ends[1] + headroom_m)
-    around = Bounds(*map(float, (*xy.min(axis=0), *xy.max(axis=0))))
-    bounds = Bounds(*around).grown(parameters.margin_px * scene.gsd_m)
+    around = Bounds.between(xy.min(axis=0), xy.max(axis=0))
+    bounds = around.grown(parameters.margin_px * scene.gsd_m)
     enu = scene.frame.from_geodetic(ground)
     origin = np.median(enu, axis=0)
     scale = max(float(np.ptp(xy, axis=0).max()) / 2, 1.0)

@@ -105,7 +105,8 @@ def _placed(gcp: Gcp, views: Sequence[View], parameters: PointingParameters) -> 
         pixel = view.model.project(gcp.lon_lat_h)
         inside = inside or bool(((pixel > -reach) & (pixel < np.array(view.size) + reach)).all())
     name = min(found, key=lambda view: found[view][0] - found[view][1])
-    return PlacedPoint(gcp, name, *found[name], inside)
+    distance, limit = found[name]
+    return PlacedPoint(gcp, name, distance_m=distance, limit_m=limit, inside=inside)
 
 
 def _distance(gcp: Gcp, view: View) -> float:

@@ -75,7 +75,7 @@ def exchanges(
 def _base_to_height(pair: Tuple[View, View], track: Track, altitude: float) -> float:
     """Of two views, where both see a track."""
     lon, lat, _ = pair[0].localise(track.pixels[pair[0].name], altitude)
-    return convergence(*pair, float(lon), float(lat), altitude)[1]
+    return convergence(pair[0], pair[1], float(lon), float(lat), altitude)[1]
 
 
 def _exchange(

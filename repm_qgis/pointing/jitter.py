@@ -35,7 +35,8 @@ class Waves:
 
     def jitter(self, i: int, coefficients: FloatArray) -> Jitter:
         """The waves of the view number i, from (2, count) coefficients."""
-        return Jitter(*self.ends[i], np.ascontiguousarray(coefficients.T))
+        first, last = self.ends[i]
+        return Jitter(first, last, np.ascontiguousarray(coefficients.T))
 
     def prior(self, parameters: JitterParameters) -> FloatArray:
         """(count, count) inverse covariance of the coefficients of one direction, px^-2: waves of usual size without a

@@ -254,7 +254,10 @@ def _gcp_figures(gcps: Sequence[Gcp], views: Sequence[View], adjusted: Adjustmen
     """Where the corrected views put the control points that they see."""
     offsets = ((gcp, intersect(gcp, views)) for gcp in gcps)
     seen = [(gcp.id, gcp.role, offset) for gcp, offset in offsets if offset is not None]
-    return tuple(GcpFigures(name, role, name in adjusted.rejected, *map(float, offset)) for name, role, offset in seen)
+    return tuple(
+        GcpFigures(name, role, name in adjusted.rejected, east_m=float(east), north_m=float(north), up_m=float(up))
+        for name, role, (east, north, up) in seen
+    )
 
 
 def _control_information(gcps: Sequence[Gcp], views: Sequence[View], adjusted: Adjustment) -> Optional[FloatArray]:

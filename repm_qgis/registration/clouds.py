@@ -85,11 +85,11 @@ class OpenedCloud:
         header = self.reader.header
         to_flat = pyproj.Transformer.from_crs(flat_crs(self.system), crs, always_xy=True)
         west, south, east, north = to_flat.transform_bounds(*header.mins[:2], *header.maxs[:2])
-        low = max(west - _MARGIN_M, bounds.xmin), max(south - _MARGIN_M, bounds.ymin)
-        high = min(east + _MARGIN_M, bounds.xmax), min(north + _MARGIN_M, bounds.ymax)
-        if not (low[0] < high[0] and low[1] < high[1]):
+        left, bottom = max(west - _MARGIN_M, bounds.xmin), max(south - _MARGIN_M, bounds.ymin)
+        right, top = min(east + _MARGIN_M, bounds.xmax), min(north + _MARGIN_M, bounds.ymax)
+        if not (left < right and bottom < top):
             raise no_heights(self.path)
-        return Bounds(*low, *high)
+        return Bounds(left, bottom, right, top)
 
     def parts(self, crs: str, bounds: Bounds, check: Callable[[], None] = lambda: None) -> Iterator[CloudPart]:
         """The points within bounds of a projected CRS, but for noise and those that are withheld, some at a time."""
@@ -178,5 +178,12 @@ class CellSums:
         x, y, height = self._sums[:, known] / self._count[known]
         slopes = slopes_of(self.means(least), np.diag([grid.cell, -grid.cell])).reshape(-1, 2)[known]
         xy = np.column_stack([x + grid.west, y + grid.north])
-        width, said = (grid.cell, grid.cell), (stated_datum(system), places_unit(system))
-        return FoundHeights(path, xy, height, width, False, slopes, *said)
+        return FoundHeights(
+            name=path,
+            xy=xy,
+            height=height,
+            width_m=(grid.cell, grid.cell),
+            slopes=slopes,
+            datum=stated_datum(system),
+            places_in=places_unit(system),
+        )

@@ -56,7 +56,7 @@ class Within:
         x, y = (np.asarray(found) for found in self._forth.transform(u, v, direction="INVERSE"))
         more = 0.02 * float(np.ptp(x)), 0.02 * float(np.ptp(y))
         low, high = (x.min() - more[0], y.min() - more[1]), (x.max() + more[0], y.max() + more[1])
-        self.source_bounds = Bounds(*map(float, (*low, *high)))
+        self.source_bounds = Bounds.between(low, high)
         """In the file's CRS, and a little wider."""
 
     def near(self, x: FloatArray, y: FloatArray) -> Mask:

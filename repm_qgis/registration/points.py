@@ -129,8 +129,8 @@ def read_points_of_table(path: str, crs: str, bounds: Bounds, check: Callable[[]
     small = metres != named or bool((np.abs(part[:2]) <= [[360], [90]]).all())
     system = pyproj.CRS(_WGS84 if small else crs)
     points = FoundPoints(path, Within(system, crs, bounds))
-    for each in itertools.chain([part], parts):
-        points.add(*each)
+    for x, y, height in itertools.chain([part], parts):
+        points.add(x, y, height)
     return heights.found(points, system)
 
 
@@ -165,8 +165,8 @@ def read_points_of_layer(
                 height = point[2] * unit if own or fields is None else fields.of_row(f"'{path}', row {line}", row)
                 yield point[0], point[1], height
 
-    for part in _parts(rows(), check):
-        points.add(*part)
+    for x, y, height in _parts(rows(), check):
+        points.add(x, y, height)
     if own or fields is None:
         return points.found(datum=datum, places_in=places_unit(layer.crs))
     return fields.found(points, layer.crs)

@@ -442,8 +442,8 @@ class _Correlation:
         zero = np.zeros(len(lengths))
         design = np.column_stack(
             [
-                cls(lengths, *pair).at(lags)
-                for pair in (*((e, zero) for e in np.eye(12)), *((zero, e) for e in np.eye(12)))
+                cls(lengths, exponential, gaussian).at(lags)
+                for exponential, gaussian in (*((e, zero) for e in np.eye(12)), *((zero, e) for e in np.eye(12)))
             ]
         )
         weight = np.sqrt(counts)

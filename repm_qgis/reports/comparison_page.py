@@ -184,9 +184,14 @@ def _distribution(page: Report, found: Comparison, everyone: Mapping[str, Compar
     )
     series = {name if len(everyone) > 1 else "cells": _cumulative(one) for name, one in everyone.items()}
     ends = ", ".join(f"{one.metrics.valid:.1f} %" for one in everyone.values())
-    labels = "|DSM − reference| (m)", "share of all reference cells (%)", "Cumulative error"
     page.svg(
-        charts.curves(series, *labels, ylim=(0.0, 100.0)),
+        charts.curves(
+            series,
+            "|DSM − reference| (m)",
+            "share of all reference cells (%)",
+            "Cumulative error",
+            ylim=(0.0, 100.0),
+        ),
         f"A curve ends at the share of reference cells that have a DSM height: {ends}.",
     )
 

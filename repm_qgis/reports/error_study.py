@@ -77,8 +77,11 @@ def add_error_study(report: Report, scene: Scene) -> None:
     for view in views:
         terrain = scene.terrain(view.model)  # the model is measured only where there is a surface
         models = _MODELS + (("terrain",) if terrain is not None else ())
-        seen = [(tile.views[view.name].window, tile.altitudes) for tile in tiles if view.name in tile.views]
-        found = [_errors_by_model(view, scene, *tile, models, terrain) for tile in seen]
+        found = [
+            _errors_by_model(view, scene, tile.views[view.name].window, tile.altitudes, models, terrain)
+            for tile in tiles
+            if view.name in tile.views
+        ]
         for model in found[0] if found else ():
             errors = np.array([(e.samp_rmse, e.line_rmse, e.rmse) for e in (entry[model] for entry in found)])
             largest = max(entry[model].max for entry in found)

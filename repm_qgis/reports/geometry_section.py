@@ -62,8 +62,8 @@ def overlap_percent(scene: Scene, first: str, second: str) -> float:
     """The overlap of two views' footprints at the middle altitude, in % of the smaller one."""
     middle = sum(scene.altitudes) / 2
     places = [footprint(view.localise, view.size, middle) for view in (scene.view(first), scene.view(second))]
-    shapes = [geometry_of(projected_from_geodetic(scene.crs, place)) for place in places]
-    return 100.0 * shared_part(*shapes)
+    one, two = (geometry_of(projected_from_geodetic(scene.crs, place)) for place in places)
+    return 100.0 * shared_part(one, two)
 
 
 def _metres_per_px(scene: Scene, pair: ViewPair) -> float:
@@ -106,8 +106,13 @@ def _curves(report: Report, scene: Scene) -> None:
     share = np.linspace(0, 100, len(found))
     limit = float(np.percentile(found[:, 2:4], 98))
     series = {"vendors' RPCs": (np.sort(found[:, 2]), share), "corrected": (np.sort(found[:, 3]), share)}
-    labels, limits = ("residual of a tie point (px)", "tie points with less (%)"), (0.0, max(limit, 0.1))
-    drawing = charts.curves(series, *labels, xlim=limits, ylim=(0.0, 100.0))
+    drawing = charts.curves(
+        series,
+        "residual of a tie point (px)",
+        "tie points with less (%)",
+        xlim=(0.0, max(limit, 0.1)),
+        ylim=(0.0, 100.0),
+    )
     report.svg(drawing, "Tie points' residuals: the root mean square distance between measured and projected pixels.")
     row, azimuth = found[:, 4], np.radians(found[:, 5])
     vectors = np.column_stack([row * np.sin(azimuth), -row * np.cos(azimuth)])

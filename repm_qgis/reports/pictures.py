@@ -92,7 +92,8 @@ def over(base: ByteImage, colours: ByteImage, share: float = 0.6) -> ByteImage:
 
 def grey_relief(heights: Floats, cell: float) -> ByteImage:
     """A surface's shading alone, in greys, (rows, columns, 4): what :func:`over` lays colours on."""
-    light = hillshade(*gradients(np.asarray(heights, np.float32), cell))
+    east, north = gradients(np.asarray(heights, np.float32), cell)
+    light = hillshade(east, north)
     known = np.isfinite(heights)
     grey = np.where(known, 80 + 175 * np.nan_to_num(light), 0)
     shaded: ByteImage = np.stack([grey, grey, grey, np.where(known, 255, 0)], axis=-1).round().astype(np.uint8)
@@ -112,7 +113,7 @@ def gradients(heights: FloatImage, cell: float) -> Tuple[FloatImage, FloatImage]
         other = padded[1 + dr : 1 + dr + rows, 1 + dc : 1 + dc + columns]
         return np.where(np.isfinite(other), other - heights, np.float32(0))
 
-    corners = [near(*corner) for corner in ((-1, 1), (1, -1), (1, 1), (-1, -1))]
+    corners = [near(down, right) for down, right in ((-1, 1), (1, -1), (1, 1), (-1, -1))]
     east = 2 * (near(0, 1) - near(0, -1)) + corners[0] - corners[1] + corners[2] - corners[3]
     north = 2 * (near(-1, 0) - near(1, 0)) + corners[0] - corners[1] - corners[2] + corners[3]
     good, unit, none = np.isfinite(heights), np.float32(8.0 * cell), np.float32(np.nan)
@@ -142,8 +143,8 @@ def shaded_relief(heights: Floats, cell: float, low: Optional[float] = None, hig
     exaggeration = float(np.clip(0.25 / max(steep, 1e-6), 1.0, 5.0))
     if low is None or high is None:
         low, high = percentile_range(z.astype(np.float64))
-    rise = gradients(z, cell)
-    light = 0.7 * hillshade(*rise, 315, 45, exaggeration) + 0.3 * hillshade(*rise, 270, 60, exaggeration)
+    east, north = gradients(z, cell)
+    light = 0.7 * hillshade(east, north, 315, 45, exaggeration) + 0.3 * hillshade(east, north, 270, 60, exaggeration)
     out = colour_map(z, low, high, "elevation")
     # Flat ground (light about 0.76) keeps its colour; slopes to the sun brighten towards white, away darken.
     light = np.nan_to_num(light, nan=0.76)[..., None]

@@ -201,7 +201,7 @@ def _entries(style: Style, path: str | os.PathLike[str]) -> List[str]:
     else:
         table = ramp_table("viridis", max(highest, 1))
         named = [(value, str(value), "#" + bytes(table[value - 1]).hex()) for value in files]
-    return [_entry(*each) for each in named]
+    return [_entry(value, name, colour) for value, name, colour in named]
 
 
 def _entries_of_dates(labels: Sequence[str]) -> List[str]:

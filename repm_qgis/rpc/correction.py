@@ -65,7 +65,8 @@ def corrected(
     """
     low, high = rpc.height_range
     heights = min(low, altitudes[0]), max(high, altitudes[1])
-    ground = _on_ground(rpc, *virtual_grid(size, heights, parameters.check_nodes, parameters.check_inset))
+    pixels, levels = virtual_grid(size, heights, parameters.check_nodes, parameters.check_inset)
+    ground = _on_ground(rpc, pixels, levels)
     if len(ground) < _TERMS:
         raise RpcInvalidError("it gives almost none of the image's pixels a ground point.")
     linear, shift = pointing[:, :2], pointing[:, 2]
@@ -109,7 +110,7 @@ def _fit_ground(rpc: Rpc, size: Size, heights: Altitudes, parameters: Correction
     whole = (max(1, round(2 * half[0])), max(1, round(2 * half[1])))
     pixels, height = virtual_grid(whole, heights, parameters.nodes)
     domain = pixels + [rpc.col_off - half[0], rpc.row_off - half[1]], height
-    return np.concatenate([_on_ground(rpc, *image), _on_ground(rpc, *domain)])
+    return np.concatenate([_on_ground(rpc, each, heights) for each, heights in (image, domain)])
 
 
 def _on_ground(rpc: Rpc, pixels: FloatArray, heights: FloatArray) -> FloatArray:

@@ -114,7 +114,7 @@ class Translator:
         self.language = language
         known = {source: target for source, target in catalogue.items() if target}
         self._exact = {source: target for source, target in known.items() if not _FIELD.search(source)}
-        templates = [_Template(*pair) for pair in known.items() if _FIELD.search(pair[0]) or _is_addition(pair[0])]
+        templates = [_Template(a, b) for a, b in known.items() if _FIELD.search(a) or _is_addition(a)]
         self._templates = sorted(templates, key=lambda template: -template.weight)
         self.search = lru_cache(maxsize=4096)(self._search)
 

@@ -166,8 +166,18 @@ class AreaSums:
             deviation = area * np.where(np.arange(len(years)) == 0, 0.0, whole)
             volume = area * mean
             slope = trends(years, volume[:, None, None], (area * date_error)[:, None, None])
-            trend = float(slope.slope[0, 0]), float(slope.error[0, 0])
-            found.append(AreaOverTime(name, outline, area, known / self.cells[number], mean, volume, deviation, *trend))
+            one = AreaOverTime(
+                name=name,
+                outline=outline,
+                area=area,
+                known=known / self.cells[number],
+                mean=mean,
+                volume=volume,
+                deviation=deviation,
+                trend=float(slope.slope[0, 0]),
+                trend_error=float(slope.error[0, 0]),
+            )
+            found.append(one)
         return found
 
 

@@ -248,20 +248,21 @@ class _Work:
         flat = flat_crs(self._grid.crs).to_wkt("WKT2_2019")
         facts: Dict[str, object] = {"REPM_ENGINE": __version__}
         facts.update({f"DATE_{number}": label for number, label in enumerate(labels, start=1)})
-        float_kind, byte = np.dtype(np.float32), np.dtype(np.uint8)
         more: Dict[str, Any] = {"metadata": facts, "cog": True}
         heights = {**more, "metadata": {**facts, **({TAG: self._surfaces.datum} if self._surfaces.datum else {})}}
-        stack = self._options.output, shape, float_kind, len(labels), place, self._surfaces.crs_wkt
-        yield raster.created(*stack, descriptions=labels, unit="m", **heights)
-        signs = f"{self._folder}/signs.tif", shape, byte, 1, place, flat
-        yield raster.created(*signs, nodata=None, own=True)
+        stack = raster.RasterFrame(shape, np.float32, len(labels), place, self._surfaces.crs_wkt)
+        yield raster.created(self._options.output, stack, descriptions=labels, unit="m", **heights)
+        signs = raster.RasterFrame(shape, np.uint8, 1, place, flat)
+        yield raster.created(f"{self._folder}/signs.tif", signs, nodata=None, own=True)
         if self._options.trend:
             bands = TREND_BANDS[: self._bands]
-            trend = self._options.trend, shape, float_kind, len(bands), place, flat
-            yield raster.created(*trend, descriptions=bands, **more)
+            trend = raster.RasterFrame(shape, np.float32, len(bands), place, flat)
+            yield raster.created(self._options.trend, trend, descriptions=bands, **more)
         if self._options.changed:
-            changed = self._options.changed, shape, byte, len(DATE_BANDS), place, flat
-            yield raster.created(*changed, descriptions=DATE_BANDS, nodata=0, overviews="NEAREST", **more)
+            frame, names = raster.RasterFrame(shape, np.uint8, len(DATE_BANDS), place, flat), DATE_BANDS
+            yield raster.created(
+                self._options.changed, frame, descriptions=names, nodata=0, overviews="NEAREST", **more
+            )
 
     def _layers(self, block: _Block) -> Iterator[Sequence[Any]]:
         """The bands of each raster in a block."""

@@ -78,7 +78,8 @@ def trends(years: FloatArray, heights: FloatImage, errors: FloatImage, parameter
     for part in _parts(len(years), flat.shape[1], parameters):
         for target, values in zip(found, _of_cells(years, flat[:, part], spread[:, part], parameters)):
             target[part] = values
-    return Trends(*(values.reshape(shape) for values in found))
+    slope, error, low, high, count = (values.reshape(shape) for values in found)
+    return Trends(slope=slope, error=error, low=low, high=high, count=count)
 
 
 def _parts(dates: int, cells: int, parameters: SeriesParameters) -> Iterator[slice]:

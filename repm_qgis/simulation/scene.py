@@ -21,7 +21,7 @@ from .. import __version__
 from ..contracts.arrays import Altitudes, Bounds, FloatArray
 from ..contracts.errors import OptionError
 from ..geometry.frames import projected_from_geodetic, utm_crs
-from ..imagery.raster import created
+from ..imagery.raster import RasterFrame, created
 from ..pointing.ground_control import Gcp, write_gcps
 from ..rpc.fit import RpcFit, fit_rpc
 from ..rpc.model import Rpc
@@ -131,7 +131,7 @@ def surface_bounds(spec: SceneSpec, views: Sequence[PushbroomView]) -> Bounds:
             places.append(projected_from_geodetic(spec.crs, view.localise(pixels, height)))
     every = np.concatenate(places)
     margin = 10 * spec.cell_m
-    return Bounds(*map(float, every.min(axis=0) - margin), *map(float, every.max(axis=0) + margin))
+    return Bounds.between(every.min(axis=0) - margin, every.max(axis=0) + margin)
 
 
 def make_surface(
@@ -160,9 +160,8 @@ def write_image(
 ) -> None:
     """Render a view strip by strip into a tiled GeoTIFF with RPC tags; raises WorkspaceError, Cancelled."""
     _drop_sidecar(path)
-    shape, names = view.size[::-1], ("panchromatic",)
-    frame = shape, np.dtype(np.uint16), 1, None, ""
-    with created(path, *frame, nodata=None, descriptions=names, compress=False) as dataset:
+    frame = RasterFrame(view.size[::-1], np.uint16)
+    with created(path, frame, nodata=None, descriptions=("panchromatic",), compress=False) as dataset:
         dataset.set_metadata(rpc_tags(rpc), "RPC")
         for first, strip in render_view(surface, view, seed, progress, parameters.render):
             dataset.write(strip, 0, first)
@@ -177,9 +176,10 @@ def write_truth(path: str, surface: SimulatedSurface, square: Tuple[int, int, in
     west = surface.west + col * surface.cell - cell / 2
     north = surface.north - row * surface.cell + cell / 2
     _drop_sidecar(path)
-    frame = (count, count), np.dtype(np.float32), 1, (west, cell, 0.0, north, 0.0, -cell), reference.ExportToWkt()
+    place = (west, cell, 0.0, north, 0.0, -cell)
+    frame = RasterFrame((count, count), np.float32, 1, place, reference.ExportToWkt())
     names, metadata = ("height above the WGS 84 ellipsoid (m)",), {"VERTICAL_DATUM": "WGS 84 ellipsoid"}
-    with created(path, *frame, descriptions=names, unit="m", metadata=metadata) as dataset:
+    with created(path, frame, descriptions=names, unit="m", metadata=metadata) as dataset:
         for first in range(0, count, _STRIP_ROWS):
             last = min(first + _STRIP_ROWS, count)
             rows = slice(row + first * step, row + (last - 1) * step + 1, step)

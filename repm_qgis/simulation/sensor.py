@@ -258,6 +258,18 @@ def aim(
     sight = np.array([sight @ along, sight @ across, -(sight @ up)]) / distance
     line_period = look.gsd_m / (math.sqrt(EARTH_GM / orbit**3) * radius)
     phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, (3, len(sensor.wobble_periods_s)))
-    frame = tuple(along), tuple(across), tuple(up)
     turned, wobble = (tuple(map(tuple, rows)) for rows in (_camera_axes(sight), phases))
-    return PushbroomView(name, sensor, look, size, *frame, orbit, turned, look.gsd_m / distance, line_period, wobble)
+    return PushbroomView(
+        name=name,
+        sensor=sensor,
+        look=look,
+        size=size,
+        along=tuple(along),
+        across=tuple(across),
+        up=tuple(up),
+        radius_m=orbit,
+        orbital_from_body=turned,
+        ifov_rad=look.gsd_m / distance,
+        line_period_s=line_period,
+        phases=wobble,
+    )

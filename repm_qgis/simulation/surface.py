@@ -252,7 +252,8 @@ class Ground:
         """Flat and black over the bounds; nodes are at multiples of the cell."""
         west, north = math.floor(bounds[0] / cell) * cell, math.ceil(bounds[3] / cell) * cell
         shape = (int(math.ceil((north - bounds[1]) / cell)) + 1, int(math.ceil((bounds[2] - west) / cell)) + 1)
-        return cls(west, north, cell, *(np.zeros(shape, np.float32) for _ in range(3)))
+        height, albedo, walls = (np.zeros(shape, np.float32) for _ in range(3))
+        return cls(west, north, cell, height=height, albedo=albedo, wall_albedo=walls)
 
     def patch(self, east: float, north: float, radius: float) -> Optional[Tuple[Area, FloatArray, FloatArray]]:
         """Slices of the nodes in a square around a position, and their metres east and north of it; None outside."""
@@ -267,5 +268,16 @@ class Ground:
 
     def finish(self, crs: str, sun: Sun, wall_m: float, light: LightParameters = SIMULATION.light) -> SimulatedSurface:
         """The surface in sunlight."""
-        images = illuminate(self, sun, wall_m, light)
-        return SimulatedSurface(crs, self.west, self.north, self.cell, wall_m, self.height, *images, light)
+        radiance, shade, facade = illuminate(self, sun, wall_m, light)
+        return SimulatedSurface(
+            crs=crs,
+            west=self.west,
+            north=self.north,
+            cell=self.cell,
+            wall_m=wall_m,
+            height=self.height,
+            radiance=radiance,
+            shade=shade,
+            facade=facade,
+            light=light,
+        )

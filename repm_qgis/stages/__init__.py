@@ -86,9 +86,13 @@ def _run(
     require_distinct(name, checked)
     from .early import require_sensible
 
-    require_sensible(checked, *([] if parameters is None else [parameters]))
+    if parameters is None:
+        require_sensible(checked)
+    else:
+        require_sensible(checked, parameters)
     run: Callable[..., dict[str, Any]] = importlib.import_module(f"{__name__}.{name}").run
-    with exclusive(name, progress, *_written(name, checked)), _workers_for(name, checked, progress):
+    folders, files = _written(name, checked)
+    with exclusive(name, progress, folders, files), _workers_for(name, checked, progress):
         return run(checked, progress) if parameters is None else run(checked, progress, parameters)
 
 

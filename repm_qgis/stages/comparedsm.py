@@ -102,9 +102,9 @@ def _rasters(stack: ExitStack, dsm: str, reference: str, progress: Progress) -> 
 
 
 def _error_raster(path: str, reference: gdal.Dataset) -> Any:
-    grid, kind, crs = Grid.of(reference), np.dtype(np.float32), reference.GetProjection()
-    shape, names = (grid.size[1], grid.size[0]), ["DSM - reference"]
-    return raster.created(path, shape, kind, 1, grid.transform, crs, descriptions=names, unit="m", cog=True)
+    grid = Grid.of(reference)
+    frame = raster.RasterFrame(grid.size[::-1], np.float32, 1, grid.transform, reference.GetProjection())
+    return raster.created(path, frame, descriptions=["DSM - reference"], unit="m", cog=True)
 
 
 def _accuracy(metrics: HeightMetrics) -> Dict[str, Any]:

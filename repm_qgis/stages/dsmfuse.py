@@ -299,7 +299,8 @@ def _cloud_written(
     task: Tuple[str, DsmLayout, List[TilePoints], Optional[str], bool, PaintingParameters], progress: Progress
 ) -> int:
     """The number of points that were written."""
-    return write_cloud(*task)
+    path, layout, tiles, ortho, normals, parameters = task
+    return write_cloud(path, layout, tiles, ortho, normals, parameters)
 
 
 def _cumulative_shares(*weights: float) -> List[float]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..contracts.options import DsmFuseOptions, DtmOptions
 from ..contracts.products import product
-from ..imagery.raster import NODATA, created
+from ..imagery.raster import NODATA, RasterFrame, created
 from ..names import surface_title
 from ..planning.disk_space import require_space, terrain_needs
 from ..reports.styles import write_style
@@ -42,17 +42,17 @@ def run(options: DtmOptions, progress: Progress, parameters: EngineParameters = 
     start, progress = time.monotonic(), Recorder(progress)
     with kept_workers(), temporary_folder(options.output) as folder:
         if options.scene:
-            fused = f"{folder}/dsm.tif", f"{folder}/confidence.tif"
+            dsm, confidence = f"{folder}/dsm.tif", f"{folder}/confidence.tif"
             share = _FUSION_SHARE
             made = DsmFuseOptions(
                 scene=options.scene,
-                output=fused[0],
-                confidence=fused[1],
+                output=dsm,
+                confidence=confidence,
                 workers=options.workers,
                 memory=options.memory,
             )
             dsmfuse.run(made, Part(progress, 0.0, share), parameters)
-            surface = surface_of(*fused)
+            surface = surface_of(dsm, confidence)
         else:
             share, surface = 0.0, surface_of(str(options.dsm), options.confidence)
         return {**_made(options, surface, folder, progress, share, parameters), "seconds": _since(start)}
@@ -79,7 +79,7 @@ def _made(
     require_space("the terrain", terrain_needs(options, columns * rows, folder), progress)
     margins = [blocks.search_margin(search), blocks.finishing_margin(search)]
     searched, finished = (blocks.windows(search, margin) for margin in margins)
-    mib = blocks.block_mib(*([wide for _, wide in windows] for windows in (searched, finished)))
+    mib = blocks.block_mib([wide for _, wide in searched], [wide for _, wide in finished])
     work = Work("a block of the DSM", mib, lambda _: "choose a smaller LARGEST")
     workers = workers_within(options.workers, work, options.memory, progress)
 
@@ -129,10 +129,10 @@ def _write(task: Tuple[Dict[str, str], Surface, List[blocks.Block]], progress: P
         for name, path in paths.items():
             band, unit = _RASTERS[name]
             whole = name == "mask"
-            frame = shape, np.dtype(np.uint8 if whole else np.float32), 1, surface.transform, surface.crs
+            kind = np.uint8 if whole else np.float32
             raster = created(
                 path,
-                *frame,
+                RasterFrame(shape, kind, 1, surface.transform, surface.crs),
                 nodata=blocks.UNKNOWN if whole else NODATA,
                 descriptions=(band,),
                 metadata=surface.tags if name == "output" else {},

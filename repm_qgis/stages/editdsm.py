@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import Any, Dict, List, Optional, Tuple
 
 import numpy as np
@@ -52,18 +53,16 @@ def run(options: EditDsmOptions, progress: Progress, parameters: EditingParamete
     tags = {**_kept(options.dsm), **surface.tags, **_origin(options.dsm, edits)}
     counts: List[int] = []
     with ExitStack() as stack:
-        frame = surface.size[::-1], np.dtype(np.float32)
-        place = surface.transform, surface.crs
+        frame = raster.RasterFrame(surface.size[::-1], np.float32, 1, surface.transform, surface.crs)
         facts: Dict[str, Any] = {"metadata": tags, "cog": True, "compress": False}
         name = f"height above the {surface.datum.name} (m)" if surface.datum else "height (m)"
-        heights = stack.enter_context(
-            raster.created(options.output, *frame, 1, *place, descriptions=(name,), unit="m", **facts)
-        )
+        heights = stack.enter_context(raster.created(options.output, frame, descriptions=(name,), unit="m", **facts))
         confidence: Optional[Tuple[raster.RasterWriter, int, ConfidenceBands]] = None
         if named and options.edited_confidence:
             meaning, names = named
             facts["overviews"] = "NEAREST"
-            made = raster.created(options.edited_confidence, *frame, len(names), *place, descriptions=names, **facts)
+            several = replace(frame, bands=len(names))
+            made = raster.created(options.edited_confidence, several, descriptions=names, **facts)
             confidence = stack.enter_context(made), len(names), meaning
         _copy(options, heights, confidence, Part(progress, 0.0, _COPIED), parameters)
         records: Dict[str, str] = {}

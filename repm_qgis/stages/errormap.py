@@ -15,7 +15,7 @@ from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import geodetic_from_projected
 from ..geometry.interpolation import on_lattice
 from ..geometry.tiles import enclosing
-from ..imagery.raster import created
+from ..imagery.raster import RasterFrame, created
 from ..names import scene_title
 from ..reports.stage_reports import errormap_report
 from ..reports.styles import write_style
@@ -46,10 +46,9 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
     squares, count, worst = 0.0, 0, 0.0
     refinement = scene.refinement or "uncorrected"
     metadata = {"REPM_VIEW": view.name, "REPM_ALTITUDE_M": altitude, "REPM_REFINEMENT": refinement}
-    kind, place, wkt = np.dtype(np.float32), grid.geotransform, pyproj.CRS.from_user_input(scene.crs).to_wkt()
-    with created(
-        options.output, grid.shape, kind, 4, place, wkt, descriptions=_BANDS, unit="px", metadata=metadata, cog=True
-    ) as raster:
+    wkt = pyproj.CRS.from_user_input(scene.crs).to_wkt()
+    frame = RasterFrame(grid.shape, np.float32, len(_BANDS), grid.geotransform, wkt)
+    with created(options.output, frame, descriptions=_BANDS, unit="px", metadata=metadata, cog=True) as raster:
         for index, tile in enumerate(tiles):
             progress.check_cancelled()
             progress.step(index / len(tiles), f"error of tile {index + 1} of {len(tiles)}")

@@ -138,13 +138,13 @@ def _source(scene: Scene, options: RefineOptions, parameters: EngineParameters, 
 
 def _write_image(scene: Scene, tile: str, name: str, refined: RefinedPinhole, kernel: str) -> str:
     """The refined image of a tile, in 16 bits; 0 is nodata."""
-    from ..imagery.raster import created, opened
+    from ..imagery.raster import RasterFrame, created, opened
     from ..imagery.warping import warp_strips
 
     view = scene.view(name)
     path = str(scene.folder("refined") / f"{tile}_{name}.tif")
     metadata, kind = {"REPM_VIEW": name, "REPM_TILE": tile}, np.dtype(np.uint16)
-    file = created(path, refined.size[::-1], kind, 1, None, "", nodata=0, metadata=metadata)
+    file = created(path, RasterFrame(refined.size[::-1], kind), nodata=0, metadata=metadata)
     with opened(view.image) as dataset, file as target:
         to_original = refined.to_original.original_from_refined
         for row, pixels in warp_strips(dataset, view.band, to_original, refined.size, kernel):

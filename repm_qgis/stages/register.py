@@ -72,8 +72,9 @@ def run(options: RegisterOptions, progress: Progress, parameters: EngineParamete
     else:
         notes = Recorder(progress)
         found = _registered(options, scenes, datum, notes, parameters)
-        facts = round(time.monotonic() - start, 3), notes.warnings, parameters.changes()
-        made = [scene.recorded("register", key, options.to_json(), *facts) for scene in found]
+        seconds, changes = round(time.monotonic() - start, 3), parameters.changes()
+        chosen = options.to_json()
+        made = [scene.recorded("register", key, chosen, seconds, notes.warnings, changes) for scene in found]
         for scene, output in zip(made, outputs):
             scene.save(output)
     figures = _figures(made[0])

@@ -86,7 +86,8 @@ class HeightSource:
         rows = np.arange(row, row + height_px, step, dtype=np.float64)
         if self.offsets is not None:
             places = zip(self.offsets.shape, (rows, columns), self.size[::-1])
-            height += interpolate_grid(self.offsets, *(at * (n - 1) / max(px - 1, 1) for n, at, px in places))
+            at_row, at_column = (at * (n - 1) / max(px - 1, 1) for n, at, px in places)
+            height += interpolate_grid(self.offsets, at_row, at_column)
         change = None
         if self.waves is not None:
             up, change = self.waves.of(columns, rows, height)

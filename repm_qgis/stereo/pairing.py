@@ -56,8 +56,8 @@ def rectify_over(
     """
     points, (first, second) = parameters.ground_points, pair
     plane, tile = (ground_points(scene, bounds, levels, points) for levels in ((sum(altitudes) / 2,), altitudes))
-    places = scene.frame.from_geodetic(plane), scene.frame.from_geodetic(tile)
-    return rectify(first, second, *places, parameters.most_shear, reduction)
+    local = scene.frame.from_geodetic
+    return rectify(first, second, local(plane), local(tile), parameters.most_shear, reduction)
 
 
 def refined_view(scene: Scene, view: View, bounds: Bounds, altitudes: Altitudes) -> Optional[RefinedPinhole]:

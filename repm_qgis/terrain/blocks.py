@@ -195,8 +195,13 @@ def make_block(task: FinishTask) -> Block:
     made = {"output": np.where(inside, terrain, np.float32(np.nan))[cut], "heights": above[cut], "mask": mask[cut]}
     with writing(task.path):
         np.savez(task.path, **made)
-    counts = np.isfinite(made["heights"]).sum(), (made["mask"] == OBJECT).sum(), np.isfinite(made["output"]).sum()
-    return Block(task.own, task.path, *map(int, counts))
+    return Block(
+        own=task.own,
+        path=task.path,
+        known=int(np.isfinite(made["heights"]).sum()),
+        objects=int((made["mask"] == OBJECT).sum()),
+        terrain=int(np.isfinite(made["output"]).sum()),
+    )
 
 
 def _read(task: BlockTask) -> Tuple[FloatImage, FloatArray]:

@@ -78,7 +78,7 @@ def align_ties(
             for step in _steps(seen[number], pairs):
                 steps.setdefault(step, []).append(number)
         steps = {step: steps[step] for step in sorted(steps, key=lambda step: (step[0], *map(order.index, step[1:])))}
-        bounds = Bounds(*map(float, (*xy[members].min(axis=0), *xy[members].max(axis=0))))
+        bounds = Bounds.between(xy[members].min(axis=0), xy[members].max(axis=0))
         pixels = {int(number): tracks[number].pixels for number in members}
         tasks.append(_AlignTask(lean, bounds, steps, pixels, stretches, parameters))
     aligned: Dict[int, List[Track]] = {}

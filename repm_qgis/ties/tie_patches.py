@@ -31,7 +31,7 @@ def covered_by_ties(scene: Scene, parameters: PatchParameters = TIES.patches) ->
 
 def _side(scene: Scene) -> float:
     """The scene's longer side, m."""
-    xmin, ymin, xmax, ymax = enclosing([Bounds(*tile.bounds) for tile in scene.tiles])
+    xmin, ymin, xmax, ymax = enclosing([tile.bounds for tile in scene.tiles])
     return max(xmax - xmin, ymax - ymin)
 
 
@@ -42,7 +42,7 @@ def ranked_patches(
     bounds = np.array([tile.bounds for tile in scene.tiles])
     low, high = bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)
     if covered_by_ties(scene, parameters):
-        return [[Bounds(*map(float, (*low, *high)))]]
+        return [[Bounds.between(low, high)]]
     area = ogr.CreateGeometryFromWkt(scene.area)
     least, most = (px * scene.gsd_m for px in (parameters.least_px, parameters.most_px))
     side = float(np.clip(_side(scene) / parameters.scene_patches, least, most))

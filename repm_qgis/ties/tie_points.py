@@ -102,7 +102,7 @@ def find_ties(
     lean, small_px = scene.lean(), ties.small_px if search.count == 1 else ties.small_patch_px
     features = max(ties.least_patch_features, ties.most_features // search.count)
     parts: Dict[Pair, List[PairMatches]] = {pair: [] for pair in pairs}
-    kept = {pair: consistent_matches(*pair, [], ties) for pair in pairs}
+    kept = {(first, second): consistent_matches(first, second, [], ties) for first, second in pairs}
     gsd_m = common_gsd_m([max(scene.view(name).gsd_m for name in pair) for pair in pairs])
     coarsest_m, lacking = dict(zip(pairs, gsd_m)), list(pairs)
     for number in range(patches.most_rounds):
@@ -117,7 +117,7 @@ def find_ties(
         for found in run_tasks(_match_patch, tasks, detector.workers(workers), part, lambda _: "patch"):
             for pair, matches in found.items():
                 parts[pair].append(matches)
-        kept = {pair: consistent_matches(*pair, found, ties) for pair, found in parts.items()}
+        kept = {(a, b): consistent_matches(a, b, found, ties) for (a, b), found in parts.items()}
         lacking = [pair for pair, matches in kept.items() if len(matches.first_px) < search.enough]
         if not lacking:
             break

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from repm_qgis import names
-from repm_qgis.imagery.raster import created
+from repm_qgis.imagery.raster import RasterFrame, created
 from repm_qgis.runtime.translation import written_in
 from repm_qgis.scene import SCHEMA, is_registered
 
@@ -81,9 +81,8 @@ def test_mosaics_and_changes_are_named_after_their_parts():
 def test_a_dsm_says_when_its_images_were_taken(tmp_path):
     path = str(tmp_path / "dsm.tif")
     heights = np.zeros((2, 2), np.float32)
-    with created(
-        path, heights.shape, heights.dtype, 1, (0, 1, 0, 0, 0, -1), "", metadata={names.DAYS: "2019-05-01 2019-04-02"}
-    ) as writer:
+    frame = RasterFrame(heights.shape, heights.dtype, 1, (0, 1, 0, 0, 0, -1))
+    with created(path, frame, metadata={names.DAYS: "2019-05-01 2019-04-02"}) as writer:
         writer.write(heights, 0, 0)
     assert names.surface_days(path) == ["2019-04-02", "2019-05-01"]
     assert names.surface_days(str(tmp_path / "none.tif")) == []

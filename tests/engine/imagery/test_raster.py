@@ -13,7 +13,7 @@ from osgeo import gdal
 
 from repm_qgis.contracts.arrays import Window
 from repm_qgis.contracts.errors import ImageError, WorkspaceError
-from repm_qgis.imagery.raster import created, files_of, grey_band, name_of, opened, read, write
+from repm_qgis.imagery.raster import RasterFrame, created, files_of, grey_band, name_of, opened, read, write
 
 ROOT = Path(__file__).resolve().parents[3]
 WKT = (
@@ -81,11 +81,7 @@ def test_products_pass_gdals_own_cog_validation(tmp_path, shape, dtype):
     values = values if dtype == "float32" else np.nan_to_num(values, nan=0).astype(np.uint8)
     with created(
         path,
-        shape,
-        np.dtype(dtype),
-        2,
-        TRANSFORM,
-        WKT,
+        RasterFrame(shape, dtype, 2, TRANSFORM, WKT),
         nodata=-9999.0 if dtype == "float32" else 0,
         descriptions=("first", "second"),
         unit="m",
@@ -185,7 +181,7 @@ def test_gdals_global_state_is_left_alone(tmp_path):
 
 def test_an_exception_leaves_nothing(tmp_path):
     path = str(tmp_path / "a.tif")
-    with pytest.raises(KeyError), created(path, (100, 100), np.dtype("float32"), 1, TRANSFORM, WKT) as writer:
+    with pytest.raises(KeyError), created(path, RasterFrame((100, 100), "float32", 1, TRANSFORM, WKT)) as writer:
         writer.write(np.ones((50, 100), np.float32))
         raise KeyError
     assert os.listdir(tmp_path) == []
@@ -194,7 +190,7 @@ def test_an_exception_leaves_nothing(tmp_path):
 def test_an_exception_leaves_what_was_there_before(tmp_path):
     path = str(tmp_path / "a.tif")
     write(path, [np.full((60, 60), 7, np.float32)], TRANSFORM, WKT)
-    with pytest.raises(KeyError), created(path, (100, 100), np.dtype("float32"), 1, TRANSFORM, WKT) as writer:
+    with pytest.raises(KeyError), created(path, RasterFrame((100, 100), "float32", 1, TRANSFORM, WKT)) as writer:
         writer.write(np.ones((50, 100), np.float32))
         raise KeyError
     with opened(path) as dataset:
@@ -204,7 +200,7 @@ def test_an_exception_leaves_what_was_there_before(tmp_path):
 
 def test_the_name_appears_only_at_the_end(tmp_path):
     path = tmp_path / "new" / "folder" / "a.tif"
-    with created(str(path), (100, 100), np.dtype("uint8"), 1, None, "", nodata=0) as writer:
+    with created(str(path), RasterFrame((100, 100), "uint8"), nodata=0) as writer:
         writer.write(np.ones((100, 100), np.uint8))
         assert not path.exists()
     assert os.listdir(path.parent) == ["a.tif"]
@@ -224,7 +220,7 @@ def test_places_that_cannot_be_written(tmp_path):
 def test_a_file_is_whole_though_somebody_holds_its_dataset(tmp_path):
     """As a debugger or profiler does, with the frame of a function that had it."""
     path, values = str(tmp_path / "a.tif"), np.arange(300 * 300, dtype=np.float32).reshape(300, 300)
-    with created(path, values.shape, values.dtype, 1, None, "", compress=False) as writer:
+    with created(path, RasterFrame(values.shape, values.dtype), compress=False) as writer:
         held = writer._dataset
         writer.write(values[:150])
         writer.write(values[150:], row=150)

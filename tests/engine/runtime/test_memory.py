@@ -13,7 +13,7 @@ import pytest
 
 from repm_qgis.contracts.errors import OptionError
 from repm_qgis.fusion.aggregation import HeightLayer, aggregate
-from repm_qgis.imagery.raster import created
+from repm_qgis.imagery.raster import RasterFrame, created
 from repm_qgis.runtime import memory
 from repm_qgis.runtime.memory import (
     colouring_mib,
@@ -222,8 +222,8 @@ def test_the_estimate_of_choosing_heights_is_right_within_a_half(tmp_path, side,
     layers = [HeightLayer(np.roll(surface, shift, 1), score, nothing, 1.0, 1.0) for shift in (0, 0, 3)]
     ground = np.where(rng.uniform(size=surface.shape) < 0.1, np.float32(100), np.float32(np.nan))
     for name, parts in (("joined", aggregate(layers, "median", 2).arrays()), ("shaded", (ground,))):
-        frame = surface.shape, np.dtype(np.float32), len(parts), None, ""
-        with created(str(tmp_path / f"{name}.tif"), *frame, compress=False) as raster:
+        frame = RasterFrame(surface.shape, np.float32, len(parts))
+        with created(str(tmp_path / f"{name}.tif"), frame, compress=False) as raster:
             for band, values in enumerate(parts, start=1):
                 raster.write(values, 0, 0, band)
     np.save(tmp_path / "light.npy", (surface > 105).astype(np.float32))

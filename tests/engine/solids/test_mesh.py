@@ -17,7 +17,7 @@ from scipy.ndimage import map_coordinates
 
 from repm_qgis.contracts.errors import Cancelled, EmptyResultError, OptionError, WorkspaceError
 from repm_qgis.contracts.options import DsmFuseOptions
-from repm_qgis.imagery.raster import created, write
+from repm_qgis.imagery.raster import RasterFrame, created, write
 from repm_qgis.solids.mesh import write_mesh
 from repm_qgis.solids.parameters import SOLIDS, SolidsParameters
 from repm_qgis.stages.collisions import require_distinct
@@ -376,7 +376,7 @@ def test_gltf_has_the_orthophoto_in_its_place(tmp_path):
     dsm = dsm_of(tmp_path / "d.tif", 10 + 0.1 * rows)
     colours = [np.where(columns < 45, 200, 20), np.where(rows < 30, 180, 30), np.full(rows.shape, 90)]
     wkt, ortho = pyproj.CRS("EPSG:32631").to_wkt(), str(tmp_path / "o.tif")
-    with created(ortho, rows.shape, np.dtype(np.uint8), 3, TRANSFORM, wkt) as raster:
+    with created(ortho, RasterFrame(rows.shape, np.uint8, 3, TRANSFORM, wkt)) as raster:
         for band, values in enumerate(colours, start=1):
             raster.write(values.astype(np.uint8), 0, 0, band)
     write_mesh(dsm, str(tmp_path / "m.glb"), ortho=ortho)
@@ -421,7 +421,7 @@ def read_obj(path):
 def picture_of(tmp_path, rows, columns):
     """An orthophoto of a red and a dark half, in the cells of a DSM."""
     wkt, ortho = pyproj.CRS("EPSG:32631").to_wkt(), str(tmp_path / "o.tif")
-    with created(ortho, (rows, columns), np.dtype(np.uint8), 3, TRANSFORM, wkt) as raster:
+    with created(ortho, RasterFrame((rows, columns), np.uint8, 3, TRANSFORM, wkt)) as raster:
         for band, (left, right) in enumerate(((200, 20), (90, 90), (30, 180)), start=1):
             values = np.full((rows, columns), left, np.uint8)
             values[:, columns // 2 :] = right
