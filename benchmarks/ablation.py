@@ -11,7 +11,7 @@ import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Callable, Dict, FrozenSet, List, Mapping, Sequence, Tuple
+from typing import Callable, Dict, FrozenSet, List, Mapping, Sequence, Tuple
 
 import numpy as np
 
@@ -147,7 +147,7 @@ def _spread(values: np.ndarray) -> str:
 
 
 def steps() -> List[str]:
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     differences: Dict[str, List[np.ndarray]] = {}
     for kind, make in few(cases()):
         scene = make()
@@ -193,7 +193,7 @@ def whu() -> List[str]:
     scenes = few(whu_tlc())
     if not scenes:
         return [f"whu_tlc was not measured: absent from '{SHARED}'."]
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     with tempfile.TemporaryDirectory() as place:
         trees = [("now", ROOT)]
         for revision in BEFORE:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
 from osgeo import ogr
@@ -36,7 +36,7 @@ class Polygon:
     deviation: float
 
 
-def _found(before: str, after: str, confidences: Sequence[str], folder: str) -> Tuple[List[Polygon], Dict[str, Any]]:
+def _found(before: str, after: str, confidences: Sequence[str], folder: str) -> Tuple[List[Polygon], Dict[str, object]]:
     made = {"before": before, "after": after, "output": f"{folder}/d.tif", "volumes": f"{folder}/v.gpkg"}
     made.update(zip(("before_confidence", "after_confidence"), confidences))
     result = stage("change", **made)
@@ -52,7 +52,7 @@ def _found(before: str, after: str, confidences: Sequence[str], folder: str) -> 
 class Score:
     """Of one town: each true change with the polygons found for it, and the polygons of none."""
 
-    truth: List[Dict[str, Any]]
+    truth: List[Dict[str, object]]
     matched: List[List[Polygon]]
     invented: List[Polygon]
 
@@ -71,7 +71,7 @@ class Score:
         return result
 
 
-def _scored(found: Sequence[Polygon], truth: List[Dict[str, Any]]) -> Score:
+def _scored(found: Sequence[Polygon], truth: List[Dict[str, object]]) -> Score:
     around = [ogr.CreateGeometryFromWkt(true["outline"]).Buffer(_NEAR_M) for true in truth]
     matched: List[List[Polygon]] = [[] for _ in truth]
     invented = []
@@ -101,7 +101,7 @@ def _share(values: Sequence[float], most: float) -> float:
     return 100.0 * float(np.mean(np.array(values) <= most)) if values else float("nan")
 
 
-def _row(name: str, scores: Sequence[Score], same: Sequence[Sequence[Polygon]]) -> List[Any]:
+def _row(name: str, scores: Sequence[Score], same: Sequence[Sequence[Polygon]]) -> List[object]:
     ratios = [ratio for score in scores for ratio in score.ratios()]
     away = [value for score in scores for value in score.deviations()]
     pairs = [(true["volume"], own) for score in scores for true, own in zip(score.truth, score.matched) if own]

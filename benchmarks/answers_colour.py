@@ -7,7 +7,7 @@ import sys
 import tempfile
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import gdal
@@ -71,7 +71,7 @@ def _sharpening() -> List[str]:
     ]
 
 
-def _against_truth(made: Dict[str, str], truth: str) -> List[List[Any]]:
+def _against_truth(made: Dict[str, str], truth: str) -> List[List[object]]:
     orthos = {name: _bands(path) for name, path in made.items()}
     known = np.all([np.isfinite(ortho).all(axis=0) for ortho in orthos.values()], axis=0)
     with opened(next(iter(made.values()))) as dataset:
@@ -133,7 +133,7 @@ def _bands(path: str) -> np.ndarray:
         return np.stack([read(dataset, None, band + 1) for band in range(dataset.RasterCount)])
 
 
-def _registration(name: str, ortho: str, dsm: str) -> List[Any]:
+def _registration(name: str, ortho: str, dsm: str) -> List[object]:
     brightness = _bands(ortho).mean(axis=0)
     with opened(dsm) as dataset:
         heights = read(dataset)

@@ -153,7 +153,7 @@ def _on_truth(path: str, case: Case, alignment: Alignment, added: Optional[np.nd
         return alignment.applied(values, (cell, cell))
 
 
-def _ours(case: Case, folder: str, parameters: Any = ENGINE, **options: Any) -> Tuple[str, str]:
+def _ours(case: Case, folder: str, parameters: Any = ENGINE, **options: object) -> Tuple[str, str]:
     out = {"output": f"{folder}/dtm.tif", "heights": f"{folder}/heights.tif"}
     run_stage("dtm", {"dsm": case.dsm, "confidence": case.confidence or None, **out, **options}, Silent(), parameters)
     return out["output"], out["heights"]
@@ -190,7 +190,7 @@ def _share(above: np.ndarray, cells: Optional[np.ndarray]) -> Any:
     return 100.0 * float((found > 1.0).mean()) if found.size else "–"
 
 
-def _scores(case: Case, terrain: str, heights: str) -> List[Any]:
+def _scores(case: Case, terrain: str, heights: str) -> List[object]:
     """RMSE on all, inner and the lidar's own ground, mean error and NMAD; flagged cells of buildings and ground, %."""
     flat = case if case.added is None else _town()
     found = score_files(flat.dsm, case.reference, "3d").alignment
@@ -199,7 +199,7 @@ def _scores(case: Case, terrain: str, heights: str) -> List[Any]:
     seen = case.seen & np.isfinite(error)
     # In the simulation, ground is where nothing stands; the lidar's classes are wrong along walls.
     inner = ndimage.binary_erosion(case.seen, iterations=_INNER_CELLS, border_value=1) & np.isfinite(error)
-    rmse: List[Any] = [float(np.sqrt(np.mean(error[cells] ** 2))) for cells in (seen, inner)]
+    rmse: List[object] = [float(np.sqrt(np.mean(error[cells] ** 2))) for cells in (seen, inner)]
     rmse.append("–")
     if case.lidar:
         sound = seen & (np.abs(case.ground - _own_ground(case)) < _OWN_M)
@@ -216,7 +216,7 @@ def terrain() -> List[str]:
     }
     if _PYTHON:
         methods.update({"bulldozer-dtm": _theirs("bulldozer"), "cloth-simulation-filter": _theirs("cloth")})
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     with tempfile.TemporaryDirectory() as folder:
         for case in few(_cases(folder)):
             alone = {_PERFECT: _medians} if case.dsm == case.reference else {}

@@ -16,7 +16,7 @@ import subprocess
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
 
@@ -82,7 +82,7 @@ def _cases() -> List[answers_dtm.Case]:
 
 
 def _shifts() -> List[str]:
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     for case in few(_cases()):
         with tempfile.TemporaryDirectory() as folder:
             cloud, moved = f"{folder}/lidar.laz", f"{folder}/moved.tif"
@@ -126,7 +126,7 @@ def fuse_cloud(scene: str, folder: str, cloud: str, normals: bool) -> int:
 
 
 def _clouds() -> List[str]:
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     town = answers_walls.towns()[0]()
     with tempfile.TemporaryDirectory() as folder:
         for name, file, normals in few(
@@ -166,7 +166,7 @@ def make_ept(cloud: str, folder: str) -> None:
 
 
 def _meshes() -> List[str]:
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     with tempfile.TemporaryDirectory() as folder:
         for side in few((1400, 4472)):
             alone(make, folder, side)
@@ -187,12 +187,12 @@ def _meshes() -> List[str]:
 # Readers of other programs ----------------------------------------------------------------------------------------
 
 
-def _library(*arguments: str) -> Dict[str, Any]:
+def _library(*arguments: str) -> Dict[str, object]:
     script = str(ROOT / "benchmarks" / "solids_libraries.py")
     done = subprocess.run([_PYTHON, script, *arguments], capture_output=True, text=True, check=False)
     if done.returncode:
         raise Failed((done.stderr.strip().splitlines() or ["ended"])[-1][:100])
-    found: Dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    found: Dict[str, object] = json.loads(done.stdout.splitlines()[-1])
     return found
 
 
@@ -257,8 +257,8 @@ def _surfaces() -> List[str]:
     if not Path(_PYTHON).is_file():
         return ["Simplified meshes and surfaces of points were not measured: REPM_SOLIDS_PYTHON names no Python."]
     town = answers_walls.towns()[0]()
-    simple: List[List[Any]] = []
-    surfaces: List[List[Any]] = []
+    simple: List[List[object]] = []
+    surfaces: List[List[object]] = []
     with tempfile.TemporaryDirectory() as folder:
         dsm, cloud = answers_walls.fused(town, folder, cloud=f"{folder}/c.cloud.ply", cloud_normals=True)
         cells, truth = f"{folder}/cells.npz", f"{folder}/truth.npz"
@@ -313,7 +313,7 @@ def write_thinned(dsm: str, path: str, step: int) -> List[int]:
     return [facts.vertices, facts.faces]
 
 
-def _mesh_row(name: str, vertices: int, made: Alone, found: Dict[str, Any]) -> List[Any]:
+def _mesh_row(name: str, vertices: int, made: Alone, found: Dict[str, object]) -> List[object]:
     return [name, vertices, found["triangles"], *found["cells"], f"{made.cpu_s:.1f}", round(made.mib)]
 
 

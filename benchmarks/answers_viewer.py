@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import tempfile
 from pathlib import Path
-from typing import Any, List
+from typing import List
 
 import numpy as np
 
@@ -67,7 +67,7 @@ def opened(folder: str, name: str) -> List[float]:
 
 
 def pages() -> List[str]:
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     with tempfile.TemporaryDirectory() as folder:
         for side in few(SIDES):
             alone(make, folder, side)

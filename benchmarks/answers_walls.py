@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Tuple
+from typing import Callable, Dict, List, Tuple
 
 import laspy
 import numpy as np
@@ -123,7 +123,7 @@ def towns() -> List[Callable[[], Town3d]]:
     ]
 
 
-def fused(town: Town3d, folder: str, parameters: EngineParameters = ENGINE, **more: Any) -> Tuple[str, str]:
+def fused(town: Town3d, folder: str, parameters: EngineParameters = ENGINE, **more: object) -> Tuple[str, str]:
     """The DSM and the cloud of a town's scene, with ``more`` options."""
     made = {"output": f"{folder}/dsm.tif", "cloud": f"{folder}/cloud.laz", **more}
     run_stage("dsmfuse", {"scene": town.scene, "resolution": 0.5, "colour": "greys", **made}, Silent(), parameters)
@@ -136,7 +136,7 @@ def compared(town: Town3d, cloud: str) -> np.ndarray:
     return points[town.truth.inside(points)]
 
 
-def _figures(town: Town3d, points: np.ndarray) -> List[Any]:
+def _figures(town: Town3d, points: np.ndarray) -> List[object]:
     up, away, facade = town.truth.score(points)
     distance = away[facade]
     nearest = np.minimum(up, away)
@@ -147,14 +147,14 @@ def _figures(town: Town3d, points: np.ndarray) -> List[Any]:
 def walls() -> List[str]:
     """What the rule for points on walls keeps, and what it costs."""
     cloud = ENGINE.solids.cloud
-    rules: Dict[str, Any] = {
+    rules: Dict[str, object] = {
         "on the DSM alone": replace(cloud, wall_cells=0),
         "and on walls, of one cell around": replace(cloud, wall_cells=1),
         "**and on walls, of two cells around**": cloud,
         "the same without a margin": replace(cloud, wall_px=0.0),
         "the same with a margin of 1 px": replace(cloud, wall_px=1.0),
     }
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     same = True
     for number, make in enumerate(few(towns())):
         town = make()
@@ -206,7 +206,7 @@ def _without_outliers(points: np.ndarray, kind: str, number: float) -> np.ndarra
 
 def outliers() -> List[str]:
     """What removing outliers of the cloud would gain and cost."""
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     for make in few(towns()):
         town = make()
         with tempfile.TemporaryDirectory() as folder:

@@ -78,7 +78,7 @@ def draw(path: str, provider: str) -> None:
     job.waitForFinished()
 
 
-def cost(function: Any, *arguments: Any) -> Tuple[float, int]:
+def cost(function: Any, *arguments: object) -> Tuple[float, int]:
     """CPU seconds and MiB of a process that does one of these."""
     used = alone(function, *arguments)
     return used.cpu_s, round(used.mib)
@@ -90,7 +90,7 @@ def megabytes(path: str) -> float:
 
 
 def displays() -> List[str]:
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     for side in few((1400, 4472)):
         with tempfile.TemporaryDirectory() as folder:
             alone(make, folder, side)

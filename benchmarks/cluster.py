@@ -15,7 +15,7 @@ import threading
 import time
 from pathlib import Path
 from statistics import median
-from typing import Any, Callable, Dict, List, Sequence, Tuple
+from typing import Callable, Dict, List, Sequence, Tuple
 
 from benchmarks.runner import ROOT, Cost, few, is_quick, measured, pipeline, say
 from benchmarks.scenes import default, real, simulated, zy3
@@ -46,7 +46,7 @@ def _bytes(folder: Path) -> Dict[str, str]:
     return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.exists()}
 
 
-def _run(images: Sequence[str], folder: Path, **options: Any) -> Cost:
+def _run(images: Sequence[str], folder: Path, **options: object) -> Cost:
     """A whole engine process; its cost has that of its own workers."""
     job = {"images": images, "workspace": f"{folder}/w", "output": f"{folder}/dsm.tif", **_made(folder), **options}
     folder.mkdir(parents=True, exist_ok=True)
@@ -62,7 +62,7 @@ def same_bytes() -> List[str]:
         ("Pléiades triplet", 3, lambda: real("pleiades_triplet")[0].images),
         ("ZY-3, 3 x 5120 px", 1, lambda: simulated("zy3_5120", zy3(5120, 1500.0), 5.0).images),
     ]
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     for name, pairs, images_of in few(cases):
         images = images_of()
         for workers in (1, 2):
@@ -81,7 +81,7 @@ def same_bytes() -> List[str]:
     ]
 
 
-def _compared(images: Sequence[str], folder: Path, workers: int, pairs: int) -> List[Any]:
+def _compared(images: Sequence[str], folder: Path, workers: int, pairs: int) -> List[object]:
     """Pairs of runs of the local pool and a cluster: a row of :func:`same_bytes`."""
     cluster = Cluster(_new(folder / "cluster"), workers)
     seconds: List[Tuple[float, float, float]] = []
@@ -108,7 +108,7 @@ def deaths() -> List[str]:
     """Workers and schedulers killed at random moments of a run, and a worker stopped for 20 s."""
     chance = random.Random(14)  # noqa: S311 - a reproducible campaign
     images = default("urban", 500, 3).images[:2]
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         options = {"tile_size": 256}

@@ -208,7 +208,7 @@ def local_cluster(workers: int) -> Iterator[Tuple[str, int]]:
 class Timed:
     """A function that also gives its start, its seconds by the clock and of the CPU, and the bytes it moved."""
 
-    def __init__(self, function: Callable[[Any], Any]) -> None:
+    def __init__(self, function: Callable[[Any], object]) -> None:
         self._function = function
 
     def __call__(self, task: Any) -> Tuple[Any, float, float, int]:
@@ -270,14 +270,14 @@ class Run:
         return [*(Phase(gap, len(each), each) for gap, each in zip(own, seconds)), Phase(own[-1])]
 
 
-def recorded(images: Sequence[str], address: str, **options: Any) -> Run:
+def recorded(images: Sequence[str], address: str, **options: object) -> Run:
     """The pipeline on a cluster, with what its tasks took."""
     from repm_qgis.runtime import cluster
 
     batches: List[Batch] = []
     original = cluster._ClusterWorkers.run
 
-    def run(self: Any, function: Any, tasks: Sequence[Any], *others: Any) -> List[Any]:
+    def run(self: Any, function: Any, tasks: Sequence[object], *others: object) -> List[object]:
         begin, own_cpu = time.perf_counter() - start, time.process_time() - last_cpu[0]
         found = original(self, Timed(function), tasks, *others)
         end = time.perf_counter() - start

@@ -7,7 +7,7 @@ does not tell of errors that all cells share. Two thirds of heights should lie w
 from __future__ import annotations
 
 import tempfile
-from typing import Any, List, Sequence, Tuple
+from typing import List, Sequence, Tuple
 
 import numpy as np
 from osgeo import gdal
@@ -42,7 +42,7 @@ def errors(images: Sequence[str], truth: str, folder: str) -> Tuple[np.ndarray, 
     return (height - surface)[known], confidence[4][known], confidence[3][known]
 
 
-def rows_of(name: str, error: np.ndarray, expected: np.ndarray, source: np.ndarray) -> List[List[Any]]:
+def rows_of(name: str, error: np.ndarray, expected: np.ndarray, source: np.ndarray) -> List[List[object]]:
     """A row for each fifth of the matched cells by expected error, for all, and for each kind that no map has."""
     error = np.abs(error - np.median(error))
     matched = source == Provenance.MATCHED
@@ -65,7 +65,7 @@ def expected_error() -> List[str]:
     scenes = [("truth_urban, 2 views", scene) for scene in real("truth_urban")]
     for kind, title in (("urban", "simulated town, 3 views"), ("mountains", "simulated mountains, 3 views")):
         scenes.append((title, default(kind, 800, 5)))
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     for name, scene in few(scenes[::-1])[::-1]:
         with tempfile.TemporaryDirectory() as folder:
             rows += rows_of(name, *errors(scene.images, scene.reference, folder))

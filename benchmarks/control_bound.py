@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, List, Sequence
+from typing import List, Sequence
 
 import numpy as np
 
@@ -63,7 +63,7 @@ def expected_px(case: Case, ties: np.ndarray, gcps: Sequence[Gcp], noise: float,
     return float(np.sqrt(np.mean(variance)))
 
 
-def controlled(case: Case, found: Pointing, altitude: float, kind: str) -> List[Any]:
+def controlled(case: Case, found: Pointing, altitude: float, kind: str) -> List[object]:
     """The table's columns of ground control: absolute errors with exact and noisy points, and what noise allows."""
     plain, surface = case.views(), case.ground(600, 78)
     ties = tie_information(case, found.tracks, found.adjusted.ground, kind)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import tempfile
 import threading
 import time
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Dict, List, Sequence, Tuple
 
 from benchmarks.runner import Failed, few, pipeline, stage
 from benchmarks.scenes import Scene, quick_size, real, simulated, zy3
@@ -17,7 +17,7 @@ from repm_qgis.runtime.environment import cuda, gpus
 from repm_qgis.runtime.progress import Recorder, Silent
 from repm_qgis.scene import Scene as SceneFile
 
-Way = Tuple[str, Dict[str, Any]]
+Way = Tuple[str, Dict[str, object]]
 WAYS: Sequence[Way] = (
     ("sgm", {"backend": "sgm"}),
     ("colmap", {"backend": "colmap"}),
@@ -41,7 +41,7 @@ class MemoryWatch:
         self._thread.start()
         return self
 
-    def __exit__(self, *_: Any) -> None:
+    def __exit__(self, *_: object) -> None:
         self._end.set()
         self._thread.join()
 
@@ -58,7 +58,7 @@ class MemoryWatch:
         return max(self._most - self._before, 0) / 2**30
 
 
-def row(name: str, scene: Scene, way: Way) -> List[Any]:
+def row(name: str, scene: Scene, way: Way) -> List[object]:
     """Scores and cost of a scene's DSM by one way of matching; raises Failed where a tile was not matched."""
     heard = Recorder(Silent())
     with tempfile.TemporaryDirectory() as work:
@@ -77,7 +77,7 @@ def row(name: str, scene: Scene, way: Way) -> List[Any]:
     return [name, way[0], *errors, made["valid_percent"], made["seconds"]["reconstruct"], *used]
 
 
-def big() -> List[List[Any]]:
+def big() -> List[List[object]]:
     """The paper's case for time: three images of 5120 x 5120 px."""
     side = quick_size(BIG, "ZY3")
     scene = simulated("zy3_800m", zy3(side, 800.0), 5.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from itertools import combinations
 from pathlib import Path
-from typing import Any, List, Sequence
+from typing import List, Sequence
 
 from benchmarks.programs import PEERS, peer, repm
 from benchmarks.runner import CORES, Failed, few, say
@@ -18,7 +18,7 @@ HEADERS = (
 )
 
 
-def row(scene: Scene, program: str, images: Sequence[str], label: str) -> List[Any]:
+def row(scene: Scene, program: str, images: Sequence[str], label: str) -> List[object]:
     """A program's scores and cost on some of a scene's images, or why there are none."""
     say(f"{scene.name}: {label} ...")
     with tempfile.TemporaryDirectory() as work:
@@ -33,7 +33,7 @@ def row(scene: Scene, program: str, images: Sequence[str], label: str) -> List[A
     return [scene.name, label, *(round(value, 3) for value in values), *cells]
 
 
-def rows(scene: Scene) -> List[List[Any]]:
+def rows(scene: Scene) -> List[List[object]]:
     """All programs on all views, and ours on each pair of a simulated tri-stereo."""
     made = [row(scene, "ours", scene.images, f"ours, {len(scene.images)} views")]
     if scene.spec is not None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Dict, List, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -58,7 +58,7 @@ def dates() -> Dates:
     return folders
 
 
-def _dsm(date: str, folder: Path) -> Dict[str, Any]:
+def _dsm(date: str, folder: Path) -> Dict[str, object]:
     images = [str(_IMAGES / f"{date}_event_img{number}.tif") for number in (1, 2)]
     made = {"confidence": f"{folder}/confidence.tif", "ortho": f"{folder}/ortho.tif"}
     return pipeline(images, folder, resolution=0.5, crs=_CRS, **made)
@@ -75,7 +75,7 @@ def _registered(folders: Dates) -> None:
     stage("dsmfuse", scene=scene, output=f"{folder}/registered_dsm.tif", resolution=0.5, **made)
 
 
-def _change(folders: Dates, folder: Path, method: str, after: str = "registered_") -> Dict[str, Any]:
+def _change(folders: Dates, folder: Path, method: str, after: str = "registered_") -> Dict[str, object]:
     given = {
         "before": f"{folders.before}/dsm.tif",
         "after": f"{folders.after}/{after}dsm.tif",

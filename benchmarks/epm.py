@@ -288,7 +288,7 @@ def error_map_seconds() -> float:
             image = gdal.GetDriverByName("GTiff").Create(path, 40000, 40000, 1, gdal.GDT_UInt16, options)
             image.SetMetadata(rpc_tags(full_rpc(look)), "RPC")
             image = None
-        area: Dict[str, Any] = {"altitude_min": 0.0, "altitude_max": 1500.0, "tile_size": 10000}
+        area: Dict[str, object] = {"altitude_min": 0.0, "altitude_max": 1500.0, "tile_size": 10000}
         made = stage("epmfit", images=images, workspace=f"{folder}/w", **area)
         start = time.perf_counter()
         stage("errormap", scene=made["scene"], output=f"{folder}/error.tif")

@@ -29,7 +29,7 @@ import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
+from typing import Callable, Dict, Iterator, List, Optional, Tuple
 
 import numpy as np
 from osgeo import gdal
@@ -68,12 +68,12 @@ class Ended:
     """How a process ended: code (negative: signal), its messages, standard error, and how long it took."""
 
     code: int
-    messages: List[Dict[str, Any]]
+    messages: List[Dict[str, object]]
     errors: str
     seconds: float
 
     @property
-    def last(self) -> Dict[str, Any]:
+    def last(self) -> Dict[str, object]:
         return self.messages[-1] if self.messages else {}
 
     def problems(self, killed: bool = False) -> List[str]:
@@ -107,7 +107,7 @@ class Bench:
         if ended.code or len(self.reference) < len(PRODUCTS):
             raise SystemExit(f"faults: the undisturbed run failed: {ended.last}")
 
-    def job(self, place: Path, **options: Any) -> Dict[str, Any]:
+    def job(self, place: Path, **options: object) -> Dict[str, object]:
         made = {name: str(place / file) for name, file in PRODUCTS.items()}
         return {"images": self.images, "workspace": str(place / "w"), "tile_size": 256, "workers": 2, **made, **options}
 
@@ -118,7 +118,7 @@ class Bench:
         path.mkdir()
         return path
 
-    def start(self, stage: str, job: Dict[str, Any], **keywords: Any) -> "Running":
+    def start(self, stage: str, job: Dict[str, object], **keywords: object) -> "Running":
         self._count += 1
         path = self.folder / f"job{self._count}.json"
         path.write_text(json.dumps(job))
@@ -136,12 +136,12 @@ class Bench:
 class Running:
     """A process in a session of its own, whose output goes to files: a pipe would hide that orphans hold it open."""
 
-    def __init__(self, command: List[str], hang_s: float = HANG_S, **keywords: Any) -> None:
+    def __init__(self, command: List[str], hang_s: float = HANG_S, **keywords: object) -> None:
         self.mark, self._hang_s = os.urandom(8).hex(), hang_s
         self._streams = [tempfile.TemporaryFile() for _ in range(2)]
         self._start = time.monotonic()
         environment = {**os.environ, MARK: self.mark, **keywords.pop("environment", {})}
-        apart: Dict[str, Any] = {"start_new_session": True}
+        apart: Dict[str, object] = {"start_new_session": True}
         if WINDOWS:
             environment["REPM_ENGINE_WATCH_STDIN"] = "1"  # as the plugin starts it there
             apart = {"creationflags": 0x200}  # CREATE_NEW_PROCESS_GROUP
@@ -307,7 +307,7 @@ def state_of(place: Path, reference: Dict[str, str]) -> List[str]:
     return [f"{file} is neither old nor new" for file, value in found.items() if value != reference[file]]
 
 
-def again(bench: Bench, place: Path, **options: Any) -> List[str]:
+def again(bench: Bench, place: Path, **options: object) -> List[str]:
     """Run the job once more in its workspace: it must end with the same bytes and leave nothing half-written."""
     ended = bench.start("pipeline", bench.job(place, **options)).end()
     problems = [f"run again: {text}" for text in ended.problems()]

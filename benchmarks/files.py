@@ -9,7 +9,7 @@ import os
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Optional, Sequence
+from typing import Dict, List, Mapping, Optional, Sequence
 
 import numpy as np
 from osgeo import gdal
@@ -33,7 +33,7 @@ class Form:
     name: str
     driver: str
     suffix: str
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, object] = field(default_factory=dict)
     colours: bool = False
 
     def writable(self) -> bool:
@@ -99,7 +99,9 @@ def rpc_error_px(image: str, original: str) -> float:
     return float(np.abs(np.subtract(*(rpc.project(ground) for rpc in rpcs))).max())
 
 
-def measured(scene: Scene, forms: Sequence[Form], reference: Optional[str], folder: str, **options: Any) -> List[Any]:
+def measured(
+    scene: Scene, forms: Sequence[Form], reference: Optional[str], folder: str, **options: object
+) -> List[object]:
     """The row of a run whose images have these forms, in turn, beside the DSM of the original files (None: itself)."""
     places = [Path(folder) / str(number) for number in range(len(forms))]  # an RPC beside one image is not the other's
     images = []
@@ -113,11 +115,11 @@ def measured(scene: Scene, forms: Sequence[Form], reference: Optional[str], fold
     return [found.valid, same, off, found.rmse]
 
 
-def of(scene: Scene, work: str) -> List[List[Any]]:
+def of(scene: Scene, work: str) -> List[List[object]]:
     """The rows of a scene: each form alone, then mixed."""
     named: Dict[str, Form] = {form.name: form for form in FORMS}
     alone = [[form] * len(scene.images) for form in FORMS] if scene.name == NAMES[0] else [[FORMS[0]] * 3]
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     reference = None
     for number, forms in enumerate([*few(alone), *few([[named[name] for name in one] for one in MIXED[scene.name]])]):
         names, drivers = (

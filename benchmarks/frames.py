@@ -7,7 +7,7 @@ import resource
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Dict, List, Sequence
+from typing import Dict, List, Sequence
 
 import numpy as np
 
@@ -48,7 +48,7 @@ def _block_folder() -> Path:
     return made_once(folder, make)
 
 
-def adjusted(images: Sequence[str], workspace: str) -> Dict[str, Any]:
+def adjusted(images: Sequence[str], workspace: str) -> Dict[str, object]:
     """The cameras, pairs, ties and pointing of a block, in this process; and the CPU seconds until the cameras are
     fitted."""
     shutil.rmtree(workspace, ignore_errors=True)
@@ -69,7 +69,7 @@ def adjusted(images: Sequence[str], workspace: str) -> Dict[str, Any]:
     }
 
 
-def _left_px(images: Sequence[str], pointing: Dict[str, Any], true: Sequence[PushbroomView]) -> float:
+def _left_px(images: Sequence[str], pointing: Dict[str, object], true: Sequence[PushbroomView]) -> float:
     """What the corrections leave of the frames' errors, px (RMS), apart from a move of the whole block."""
     from repm_qgis.scene import load_views
 

@@ -13,7 +13,7 @@ import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Dict, List, Tuple
+from typing import Dict, List, Tuple
 
 import cv2
 import numpy as np
@@ -110,12 +110,12 @@ def scene_of(size: int, pairs: int, folder: Path) -> str:
     return scene.save(str(folder / "scene.json"))
 
 
-def fused(size: int, pairs: int, cell: float) -> List[Any]:
+def fused(size: int, pairs: int, cell: float) -> List[object]:
     """The row of one DSM, fused by a process of its own."""
     with tempfile.TemporaryDirectory(prefix="repm_bench_fusion") as name:
         folder = Path(name)
         scene = scene_of(size, pairs, folder)
-        options: Dict[str, Any] = {"scene": scene, "output": str(folder / "dsm.tif"), "resolution": cell}
+        options: Dict[str, object] = {"scene": scene, "output": str(folder / "dsm.tif"), "resolution": cell}
         (folder / "job.json").write_text(json.dumps({**options, "workers": WORKERS}))
         command = [sys.executable, "-m", "repm_qgis", "dsmfuse", str(folder / "job.json")]
         text, cost = measured(command, str(ROOT), resident_gib())

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import math
 from pathlib import Path
-from typing import Any, Callable, Sequence
+from typing import Callable, Sequence
 
 import numpy as np
 from scipy import ndimage
@@ -24,7 +24,7 @@ AFTERNOON = Sun(azimuth_deg=245.0, elevation_deg=32.0)
 _HOUSE_M = (5.0, 4.0)  # half the length and width of every house
 _EAVES_M, _RIDGE_M = 5.0, 2.5
 _FIELD_M = 45.0
-Writer = Callable[[Path, np.ndarray], Any]
+Writer = Callable[[Path, np.ndarray], object]
 
 
 def estate(

@@ -44,7 +44,7 @@ PASSING = {"REPM_SCENE", "REPM_FINGERPRINT", "REPM_RECORD"}  # metadata with tim
 Digest = Dict[str, str]
 
 
-def cases(folder: Path) -> Iterator[Tuple[str, List[Tuple[str, Dict[str, Any]]]]]:
+def cases(folder: Path) -> Iterator[Tuple[str, List[Tuple[str, Dict[str, object]]]]]:
     """Each case's name, and its stages with their options."""
     town, hills = str(folder / "town"), str(folder / "hills")
     yield (
@@ -56,7 +56,7 @@ def cases(folder: Path) -> Iterator[Tuple[str, List[Tuple[str, Dict[str, Any]]]]
     )
     of = {name: sorted(str(p) for p in Path(name).glob("*.tif") if "truth" not in p.name) for name in (town, hills)}
 
-    def pipeline(name: str, images: List[str], **options: Any) -> Tuple[str, Dict[str, Any]]:
+    def pipeline(name: str, images: List[str], **options: object) -> Tuple[str, Dict[str, object]]:
         made = {option: str(folder / name / file) for option, file in PRODUCTS.items()}
         return "pipeline", {"images": images, "workspace": str(folder / name / "w"), **made, **options}
 
@@ -135,13 +135,13 @@ def digest(tree: Path) -> Digest:
     return found
 
 
-def _later(make: Any, folder: Path) -> Iterator[Tuple[str, List[Tuple[str, Dict[str, Any]]]]]:
+def _later(make: Any, folder: Path) -> Iterator[Tuple[str, List[Tuple[str, Dict[str, object]]]]]:
     """The cases one by one; those after the first are named once the samples are there."""
     for index in range(sum(1 for _ in make(folder))):
         yield list(make(folder))[index]
 
 
-def _run(tree: Path, stage: str, options: Dict[str, Any], work: Path) -> Dict[str, Any]:
+def _run(tree: Path, stage: str, options: Dict[str, object], work: Path) -> Dict[str, object]:
     job = work / "job.json"
     job.write_text(json.dumps(options))
     done = subprocess.run(
@@ -163,7 +163,7 @@ def _hash(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:16]
 
 
-def _figures(value: Any, work: str) -> Any:
+def _figures(value: object, work: str) -> Any:
     """A result without times and paths."""
     if isinstance(value, dict):
         return {name: _figures(part, work) for name, part in value.items() if name not in ("seconds", "worker_s")}

@@ -9,7 +9,7 @@ import sys
 import tempfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence, Tuple
+from typing import Callable, Dict, Iterable, List, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import gdal
@@ -23,7 +23,7 @@ from repm_qgis.rpc.model import Rpc
 from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.scene import View, load_views
 
-Job = Tuple[str, Dict[str, Any]]
+Job = Tuple[str, Dict[str, object]]
 
 
 @dataclass
@@ -31,7 +31,7 @@ class Ended:
     """How a stage ended: its result, or its error; what it said, its folder, and the CPU seconds it took."""
 
     folder: Path
-    result: Dict[str, Any] = field(default_factory=dict)
+    result: Dict[str, object] = field(default_factory=dict)
     error: str = ""
     said: List[str] = field(default_factory=list)
     warned: List[str] = field(default_factory=list)
@@ -59,7 +59,7 @@ class Trial:
             return self.judge(ended)
 
 
-def run_in(tree: Path, stage: str, options: Dict[str, Any], folder: Path, limit_s: float = 900.0) -> Ended:
+def run_in(tree: Path, stage: str, options: Dict[str, object], folder: Path, limit_s: float = 900.0) -> Ended:
     """A stage of the engine in a checkout, which is ended after a time limit."""
     job, ended = folder / "job.json", Ended(folder)
     job.write_text(json.dumps(options))
@@ -86,7 +86,7 @@ def run_in(tree: Path, stage: str, options: Dict[str, Any], folder: Path, limit_
     return ended
 
 
-def pipeline(folder: Path, images: Sequence[str], name: str = "run", **options: Any) -> Job:
+def pipeline(folder: Path, images: Sequence[str], name: str = "run", **options: object) -> Job:
     """The pipeline; its DSM is ``NAME.tif`` in the folder."""
     made = {"images": list(images), "workspace": str(folder / name), "output": str(folder / f"{name}.tif")}
     return "pipeline", {**made, "resolution": 1.0, **options}

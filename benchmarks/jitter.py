@@ -6,7 +6,7 @@ import resource
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
 from osgeo import gdal
@@ -81,11 +81,11 @@ def parallax_px(made: SceneFile, case: Case) -> float:
     return float(np.sqrt(np.mean(found**2)))
 
 
-def row(case: Case) -> List[Any]:
+def row(case: Case) -> List[object]:
     say(f"{case.label} ...")
     made = scene(case.jitter_px)
     with tempfile.TemporaryDirectory() as work:
-        options: Dict[str, Any] = {"pointing": case.pointing, "resolution": made.resolution}
+        options: Dict[str, object] = {"pointing": case.pointing, "resolution": made.resolution}
         if case.reference:
             options["reference"] = [dem(made.reference, Path(work))]
         before = _cpu_s()

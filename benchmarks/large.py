@@ -9,7 +9,7 @@ import os
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
 import pyproj
@@ -21,6 +21,7 @@ from benchmarks.runner import CORES, Cost, Failed, alone, few, is_quick, measure
 from benchmarks.scenes import CACHE, Scene, made_once, quick_size, simulated, zy3
 from benchmarks.scoring import bounds_of, heights_of, nmad, scores, shares
 from benchmarks.tables import Section, table
+from repm_qgis.contracts.documents import JsonObject
 from repm_qgis.imagery.raster import RasterFrame, created
 from repm_qgis.imagery.warping import sample_array
 from repm_qgis.matching.pair_backend import match_pair_over_tile
@@ -54,7 +55,7 @@ def relief() -> Scene:
     return simulated("zy3_1500m", zy3(5120, 1500.0), 5.0)
 
 
-def middle_of(path: str, side_px: int) -> Dict[str, Any]:
+def middle_of(path: str, side_px: int) -> JsonObject:
     """EXTENT and its CRS of a square of so many px around a raster's middle."""
     raster = gdal.Open(path)
     xmin, ymin, xmax, ymax = bounds_of(raster)
@@ -69,7 +70,7 @@ def middle_of(path: str, side_px: int) -> Dict[str, Any]:
 def whole() -> List[str]:
     """Accuracy and cost of the whole scene, with each refinement model and else default options."""
     scene = relief()
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     for label, options in few(
         (
             ("none", {"MODEL": "none"}),
@@ -103,7 +104,7 @@ def whole() -> List[str]:
 # Refinement -------------------------------------------------------------------------------------------------------
 
 
-def one_tile(job: Dict[str, Any], folder: str, corrected: bool) -> str:
+def one_tile(job: Dict[str, object], folder: str, corrected: bool) -> str:
     """The DSM of one tile; ``corrected``: without vertical parallax at the coarse level's altitude (the default)."""
     made = pipeline(folder=folder, **job)
     if corrected:
@@ -121,7 +122,7 @@ def models() -> List[str]:
     scene = relief()
     area = middle_of(scene.reference, quick_size(TILE, "ZY3"))
     job = {"images": [scene.images[0], scene.images[2]], "resolution": 5.0, "tile_size": TILE, "workers": 1, **area}
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     for corrected in (False, True):
         for model in few(MODELS):
             label = "corrected" if corrected else "left"
@@ -157,7 +158,7 @@ def parallax() -> List[str]:
             area = middle_of(scene.reference, quick_size(side, "ZY3"))
             fitted = stage("epmfit", images=images, workspace=work, tile_size=side, **area)["scene"]
             for model in MODELS:
-                options: Dict[str, Any] = {"model": model, "write_images": False}
+                options: Dict[str, object] = {"model": model, "write_images": False}
                 if model == "terrain":
                     options["dem"] = scene.reference
                 refined = stage("refine", scene=fitted, output_scene=f"{work}/{model}.json", **options)["output_scene"]
@@ -271,7 +272,7 @@ def _spread(nodes: np.ndarray, step: int, shape: Tuple[int, int]) -> np.ndarray:
 
 def scale() -> List[str]:
     """CPU seconds a Mpx and peak memory of pairs of growing size, one kind of ground."""
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     start = start_of_qgis()
     for side in few(SIDES):
         side = quick_size(side)

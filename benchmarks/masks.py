@@ -70,7 +70,7 @@ def good(error: np.ndarray) -> np.ndarray:
     return np.abs(np.nan_to_num(error, nan=np.inf)) < 1.0
 
 
-def disturbed_rows(case: Case, classes: np.ndarray) -> List[List[Any]]:
+def disturbed_rows(case: Case, classes: np.ndarray) -> List[List[object]]:
     """Nodata in water and clouds, heights on land, in per cent of each kind's cells."""
     cell, land = case.grid.cell, classes == LAND
     clear = within(land, _CLEAR_M / cell)
@@ -84,7 +84,7 @@ def disturbed_rows(case: Case, classes: np.ndarray) -> List[List[Any]]:
     return rows
 
 
-def undisturbed_rows(case: Case) -> List[List[Any]]:
+def undisturbed_rows(case: Case) -> List[List[object]]:
     among = np.isfinite(case.truth)
     rows = []
     for label, error, seconds in measured(case):
@@ -95,7 +95,7 @@ def undisturbed_rows(case: Case) -> List[List[Any]]:
 
 
 def disturbed() -> List[str]:
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     for kind, seed in few([(kind, seed) for kind in ("urban", "mountains") for seed in (5, 6)]):
         with tempfile.TemporaryDirectory() as folder:
             made = make_pair(folder, kind, quick_size(1000), seed=seed)

@@ -101,7 +101,7 @@ def ranks(image: np.ndarray) -> np.ndarray:
     return rank * np.uint8(5)
 
 
-def corrected_twice(disparity: np.ndarray, *others: Any) -> np.ndarray:
+def corrected_twice(disparity: np.ndarray, *others: object) -> np.ndarray:
     return correct_depth_edges(correct_depth_edges(disparity, *others), *others)
 
 
@@ -123,12 +123,12 @@ def lower_end_of_rows(
     return DisparityMap(np.where(filled, known_median(dense, 5), dense), found.score, filled)
 
 
-def changed(**sets: Dict[str, Any]) -> MatchingParameters:
+def changed(**sets: Dict[str, object]) -> MatchingParameters:
     """The default parameters with other values in some of their sets."""
     return replace(MATCHING, **{name: replace(getattr(MATCHING, name), **values) for name, values in sets.items()})
 
 
-def operations(*names: str, **values: Any) -> MatchingParameters:
+def operations(*names: str, **values: object) -> MatchingParameters:
     return changed(subpixel={"operations": names, **values})
 
 

@@ -149,7 +149,7 @@ def seams() -> List[str]:
     truth = read(folder / _TRUTH)
     dsms = [str(folder / f"dsm_{i + 1:02d}.tif") for i in range(ROWS * COLUMNS)]
     errors = [path.replace("dsm_", "confidence_") for path in dsms]
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     off = 0.0
     with tempfile.TemporaryDirectory() as work:
         for label, more in few((("equal weights", {}), ("expected errors given", {"confidences": errors}))):
@@ -185,7 +185,7 @@ def seams() -> List[str]:
     ]
 
 
-def figures(error: np.ndarray, source: np.ndarray) -> List[Any]:
+def figures(error: np.ndarray, source: np.ndarray) -> List[object]:
     error = aligned(error)
     known = error[np.isfinite(error)]
     values = (*steps(error, source), nmad(known), 100.0 * float((np.abs(known) < 1).mean()))
@@ -204,7 +204,7 @@ def picture(path: Path, *surfaces: np.ndarray) -> None:
 # Cost -------------------------------------------------------------------------------------------------------------
 
 
-def enlarged(times: int, folder: str) -> Dict[str, Any]:
+def enlarged(times: int, folder: str) -> Dict[str, object]:
     """A mosaic of the town's DSMs in cells ``times`` finer along each side, made in this process alone."""
     bound_cache()  # as the engine does
     town_folder = town()

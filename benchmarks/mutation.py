@@ -36,6 +36,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Dict, Iterator, List, Sequence, Tuple
 
+Mutant = Dict[str, Any]
 ROOT = Path(__file__).resolve().parents[1]
 PLACE = ROOT / "dist" / "mutation"
 PYTHON = str(ROOT / ".venv" / "bin" / "python")
@@ -146,7 +147,7 @@ def modules(only: str) -> List[Path]:
     return [path.relative_to(ROOT) for path in every if re.search(only, path.as_posix()) and path.name != "__init__.py"]
 
 
-def mutants_of(module: Path) -> List[Dict[str, Any]]:
+def mutants_of(module: Path) -> List[Mutant]:
     """All mutants of a module that are taken, each with the rule that it belongs to."""
     from cosmic_ray.commands import init
     from cosmic_ray.work_db import WorkDB, use_db
@@ -170,7 +171,7 @@ def mutants_of(module: Path) -> List[Dict[str, Any]]:
     return sorted(found, key=lambda one: (one["line"], one["operator"], one["occurrence"]))
 
 
-def drawn(mutants: Sequence[Dict[str, Any]], sample: int, seed: int) -> List[Dict[str, Any]]:
+def drawn(mutants: Sequence[Mutant], sample: int, seed: int) -> List[Mutant]:
     """A sample of about so many (0: all), of each module in proportion to its mutants."""
     share, result = (sample / len(mutants) if 0 < sample < len(mutants) else 1.0), []
     for module in sorted({one["module"] for one in mutants}):
@@ -294,7 +295,7 @@ def _enter(copies: "Queue[str]") -> None:
     _tests.append(Tests())
 
 
-def _try(mutant: Dict[str, Any], tests: Sequence[str], limit_s: float) -> Dict[str, Any]:
+def _try(mutant: Mutant, tests: Sequence[str], limit_s: float) -> Mutant:
     from cosmic_ray.mutating import use_mutation
     from cosmic_ray.plugins import get_operator
 
@@ -314,7 +315,7 @@ def _measured(files: Sequence[str]) -> Tuple[Dict[str, float], Dict[str, Dict[st
     return seconds, lines
 
 
-def chosen_tests(mutant: Dict[str, Any], files: Sequence[str], lines: Dict[str, List[str]]) -> Sequence[str]:
+def chosen_tests(mutant: Mutant, files: Sequence[str], lines: Dict[str, List[str]]) -> Sequence[str]:
     """Of these files the tests that run the mutated statement; all files where only an import or a fixture does."""
     tree = ast.parse((ROOT / mutant["module"]).read_text(encoding="utf-8"))
     around = [node for node in ast.walk(tree) if isinstance(node, ast.stmt) and _holds(node, mutant["line"])]
@@ -341,7 +342,7 @@ def _end_of(node: ast.stmt) -> int:
     return max(node.lineno, min(inside) - 1) if inside else node.end_lineno or node.lineno
 
 
-def try_all(mutants: Sequence[Dict[str, Any]], jobs: int, before: Sequence[Dict[str, Any]]) -> List[Dict[str, Any]]:
+def try_all(mutants: Sequence[Mutant], jobs: int, before: Sequence[Mutant]) -> List[Mutant]:
     """Earlier results, and each mutant with its outcome, "killed" or "survived"; kept as they come."""
     copies = [copy_checkout(number) for number in range(jobs)]
     tests = {module: tests_of(module) for module in sorted({one["module"] for one in mutants})}
@@ -374,12 +375,12 @@ def try_all(mutants: Sequence[Dict[str, Any]], jobs: int, before: Sequence[Dict[
 # --- what came of it ------------------------------------------------------------------------------------------------
 
 
-def alive(results: Sequence[Dict[str, Any]]) -> List[Dict[str, Any]]:
+def alive(results: Sequence[Mutant]) -> List[Mutant]:
     """Those that no test noticed."""
     return [one for one in results if one["outcome"] != "killed"]
 
 
-def keep(results: Sequence[Dict[str, Any]]) -> None:
+def keep(results: Sequence[Mutant]) -> None:
     """Write the results, and the changes that no test noticed, where a person or the next run finds them."""
     (PLACE / "results.json").write_text(json.dumps(results, indent=1), encoding="utf-8")
     titles = [
@@ -388,12 +389,12 @@ def keep(results: Sequence[Dict[str, Any]]) -> None:
     (PLACE / "survivors.diff").write_text("\n".join(titles), encoding="utf-8")
 
 
-def _share(results: Sequence[Dict[str, Any]]) -> str:
+def _share(results: Sequence[Mutant]) -> str:
     killed = sum(one["outcome"] == "killed" for one in results)
     return f"{killed} of {len(results)} ({100 * killed / max(len(results), 1):.1f} %)"
 
 
-def report(mutants: Sequence[Dict[str, Any]], results: Sequence[Dict[str, Any]]) -> str:
+def report(mutants: Sequence[Mutant], results: Sequence[Mutant]) -> str:
     """The table by module and the shares with and without the mutants of equivalent rules, in Markdown."""
     ours = [one for one in results if not one["rule"]]
     lines = [
@@ -428,7 +429,7 @@ def main() -> None:
         sys.exit(f"mutation: '{asked.only}' is in the path of no module: give a part of one, such as pointing/.")
     start = time.monotonic()
     mutants = [one for module in modules(asked.only) for one in mutants_of(module) if one["rule"] != PLATFORM]
-    last: List[Dict[str, Any]] = []
+    last: List[Mutant] = []
     if asked.again:
         last = json.loads((PLACE / "results.json").read_text(encoding="utf-8"))
     chosen = alive(last) if asked.again else drawn(mutants, asked.sample, asked.seed)

@@ -43,7 +43,7 @@ def _tag(path: str, tags: Any) -> None:
     dataset = None  # noqa: F841 - it is written now
 
 
-def _dsm(images: Sequence[str], folder: Path, **options: Any) -> Path:
+def _dsm(images: Sequence[str], folder: Path, **options: object) -> Path:
     folder.mkdir()
     pipeline(images, folder, resolution=_CELL, workers=1, **options)
     return folder / "dsm.tif"
@@ -69,7 +69,7 @@ class _Trial:
         self.views, self.folder, self.rows = load_views(images), folder, []
         self.base = _dsm(images, Path(folder, "sensor"))
 
-    def add(self, label: str, make: Callable[[View, str], None], **options: Any) -> None:
+    def add(self, label: str, make: Callable[[View, str], None], **options: object) -> None:
         made = Path(self.folder, str(len(self.rows)))
         made.mkdir()
         paths = [str(made / f"{view.name}.tif") for view in self.views]

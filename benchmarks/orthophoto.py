@@ -8,7 +8,7 @@ import tempfile
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import gdal
@@ -88,7 +88,7 @@ def _apart(moved: np.ndarray, fixed: np.ndarray) -> np.ndarray:
     return np.array(found).reshape(-1, 2)
 
 
-def _on(path: str, like: str, algorithm: str = "cubic", **options: Any) -> np.ndarray:
+def _on(path: str, like: str, algorithm: str = "cubic", **options: object) -> np.ndarray:
     """(B, H, W) a raster or an image on another raster's cells, by GDAL alone; NaN where it has nothing."""
     dataset = gdal.Open(like)
     x, cell, _, y, _, down = dataset.GetGeoTransform()
@@ -148,7 +148,7 @@ def _reconstructed() -> Tuple[Scene, str]:
     return Scene.load(str(folder / "w" / "reconstructed.json")), str(folder / "dsm.tif")
 
 
-def _sharpness(scene: Scene, dsm: str, work: str) -> List[List[Any]]:
+def _sharpness(scene: Scene, dsm: str, work: str) -> List[List[object]]:
     views, cell = nadir_first(scene), gdal.Open(dsm).GetGeoTransform()[1]
     first = views[0]
     made = {
@@ -162,7 +162,7 @@ def _sharpness(scene: Scene, dsm: str, work: str) -> List[List[Any]]:
     known = np.isfinite(projected) & np.isfinite(_bands(fine)[0])
     own = gdal.Open(first.image).ReadAsArray().astype(np.float32)
     image = own if own.ndim == 2 else np.tensordot((0.299, 0.587, 0.114), own, axes=1).astype(np.float32)
-    rows: List[List[Any]] = [["the image itself", round(first.gsd_m, 3), *edge_width(image, first.gsd_m), "–"]]
+    rows: List[List[object]] = [["the image itself", round(first.gsd_m, 3), *edge_width(image, first.gsd_m), "–"]]
     whole = _energy(projected, cell / 2, known)
     rows.append(["GDAL's projection, cubic", cell / 2, *edge_width(projected, cell / 2), 1.0])
     for name, path in made.items():
@@ -191,7 +191,7 @@ def _projected(scene: Scene, view: View, dsm: str, like: str, work: str) -> np.n
     return grey
 
 
-def _places(scene: Scene, dsm: str, work: str) -> List[List[Any]]:
+def _places(scene: Scene, dsm: str, work: str) -> List[List[object]]:
     cell, rows = gdal.Open(dsm).GetGeoTransform()[1] / 2, []
     for view in nadir_first(scene):
         path = _grey_ortho(scene, [view], dsm, cell)
@@ -203,7 +203,7 @@ def _places(scene: Scene, dsm: str, work: str) -> List[List[Any]]:
     return rows
 
 
-def _seams(scene: Scene, dsm: str, work: str) -> List[List[Any]]:
+def _seams(scene: Scene, dsm: str, work: str) -> List[List[object]]:
     """The choice of views in small blocks, each by itself and as finer orthophotos have it."""
     options = DsmFuseOptions(scene=str(scene.path), output=dsm, workers=1)
     plan = colour_plan(scene, options, Silent(), ORTHO.sharpening)
@@ -232,7 +232,7 @@ def _seams(scene: Scene, dsm: str, work: str) -> List[List[Any]]:
     return rows
 
 
-def _seam_figures(labels: np.ndarray, scaled: np.ndarray, cell: float) -> List[Any]:
+def _seam_figures(labels: np.ndarray, scaled: np.ndarray, cell: float) -> List[object]:
     """Length of the seams where both views see both sides, m; what the views differ by there, and where all seams would
     lie some cells aside; share of the blocks' borders that are seams, %, and what the views differ by there."""
     shown = np.isfinite(scaled[:, 0])
@@ -296,7 +296,7 @@ def truth() -> List[str]:
     ]
 
 
-def _against(path: str, true: np.ndarray, like: str) -> List[Any]:
+def _against(path: str, true: np.ndarray, like: str) -> List[object]:
     (values,) = _on(path, like)
     shifts = _apart(values, true)
     right, down = np.median(shifts, axis=0)
@@ -343,7 +343,7 @@ def cost() -> List[str]:
     if not _TOWN.exists():
         return []
     scene, _ = _reconstructed()
-    cases: List[Tuple[str, Dict[str, Any]]] = [("none", {})]
+    cases: List[Tuple[str, Dict[str, object]]] = [("none", {})]
     for colour, cells in (("greys", (0.62, 0.31)), ("auto", (0.62, 0.31, 0.155))):
         cases += [(f"{colour}, {cell} m", {"colour": colour, "ortho_resolution": cell}) for cell in cells]
     rows = []

@@ -57,16 +57,16 @@ def _exchanged(images: Sequence[str], folder: str) -> List[str]:
     return made
 
 
-def _told(images: Sequence[str]) -> Dict[str, Any]:
+def _told(images: Sequence[str]) -> Dict[str, object]:
     """What the pointing of images finds; ``refused`` where there is none."""
-    found: Dict[str, Any] = {"pairs": []}
+    found: Dict[str, object] = {"pairs": []}
     checks, log = pointing.require_own_rpcs, pointing._log
 
-    def every_pair(*given: Any) -> None:
+    def every_pair(*given: object) -> None:
         found["pairs"] = list(exchanges(*given[:3]))
         checks(*given)
 
-    def heard(views: Any, figures: Any, *rest: Any) -> None:
+    def heard(views: Any, figures: Any, *rest: object) -> None:
         found.update(views=views, figures=figures)
         raise _Heard
 
@@ -84,7 +84,7 @@ def _told(images: Sequence[str]) -> Dict[str, Any]:
     return found
 
 
-def _row(name: str, images: Sequence[str]) -> List[Any]:
+def _row(name: str, images: Sequence[str]) -> List[object]:
     sound = _told(images)
     with tempfile.TemporaryDirectory() as folder:
         crossed = _told(_exchanged(images, folder))

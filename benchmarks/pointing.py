@@ -8,7 +8,7 @@ import time
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -158,7 +158,7 @@ def triplet() -> List[str]:
 # Cost -------------------------------------------------------------------------------------------------------------
 
 
-def timed_pointing(path: str, detector: str) -> Dict[str, Any]:
+def timed_pointing(path: str, detector: str) -> Dict[str, object]:
     """Ties and adjustment of a scene with seconds; ``detector`` is opencv or colmap, both on the CPU."""
     keypoints = replace(TIES.keypoints, colmap_on_cpu=detector == "colmap")
     scene = replace(SceneFile.load(path), refinement="polynomial")
@@ -170,14 +170,14 @@ def timed_pointing(path: str, detector: str) -> Dict[str, Any]:
     return {"wall": wall, "cpu": cpu, "pointing": pointing, "figures": found.figures.to_mapping()}
 
 
-def cost(images: Sequence[str], detector: str = "opencv") -> Dict[str, Any]:
+def cost(images: Sequence[str], detector: str = "opencv") -> Dict[str, object]:
     """The same in a process of its own, with MiB of itself and of a worker."""
     with tempfile.TemporaryDirectory() as folder:
         used = alone(timed_pointing, str(fitted(images, Path(folder) / "w").path), detector)
     return {**used.result, "own": used.mib, "child": used.child_mib}
 
 
-def cost_row(found: Dict[str, Any]) -> List[Any]:
+def cost_row(found: Dict[str, object]) -> List[object]:
     workers = CORES if found["child"] > 100 else 0
     memory = f"{found['own'] + workers * found['child']:.0f}"
     return [found["figures"]["count"], found["figures"]["after_px"], found["wall"], found["cpu"], memory]

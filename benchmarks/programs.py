@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
-from typing import Any, Callable, Dict, Sequence, Tuple
+from typing import Callable, Dict, Sequence, Tuple
 
 from benchmarks.runner import CORES, ROOT, Cost, Failed, measured
 
 QGIS = str(ROOT / "scripts" / "qgis-headless")
 
 
-def repm(images: Sequence[str], resolution: float, folder: Path, **options: Any) -> Tuple[str, Cost, Dict[str, Any]]:
+def repm(
+    images: Sequence[str], resolution: float, folder: Path, **options: object
+) -> Tuple[str, Cost, Dict[str, object]]:
     """Ours through ``scripts/qgis-headless``: the DSM, the cost, and the algorithm's other results."""
     folder.mkdir(parents=True, exist_ok=True)
     dsm = folder / "dsm.tif"
@@ -37,7 +39,7 @@ def peer(name: str, images: Sequence[str], resolution: float, folder: Path) -> T
     return str(found), cost
 
 
-Configured = Tuple[Dict[str, Any], Sequence[str]]
+Configured = Tuple[Dict[str, object], Sequence[str]]
 
 
 def _s2p(images: Sequence[str], resolution: float, folder: Path) -> Configured:

@@ -158,7 +158,7 @@ REFERENCES: Dict[str, Callable[[Case, np.random.Generator], FoundHeights]] = {
 }
 
 
-def trial(case: Case, make: Callable[[Case, np.random.Generator], FoundHeights], seed: int) -> Tuple[Any, ...]:
+def trial(case: Case, make: Callable[[Case, np.random.Generator], FoundHeights], seed: int) -> Tuple[object, ...]:
     """The error (m east, north, up), the claimed deviations, and how many directions were determined."""
     rng = np.random.default_rng(seed)
     away = rng.uniform(-1.0, 1.0, 3) * _WRONG_M
@@ -260,11 +260,11 @@ def against_s2p() -> List[str]:
     ]
 
 
-def _register(scene: str, reference: str, output: str) -> Dict[str, Any]:
+def _register(scene: str, reference: str, output: str) -> Dict[str, object]:
     return stage("register", scene=scene, reference=[reference], reference_datum="ellipsoid", output_scene=output)
 
 
-def _cost(name: str, options: Dict[str, Any], folder: str) -> Cost:
+def _cost(name: str, options: Dict[str, object], folder: str) -> Cost:
     """What a stage takes as a program, with all its workers."""
     job = f"{folder}/{name}.json"
     Path(job).write_text(json.dumps(options), encoding="utf-8")
@@ -302,7 +302,7 @@ def cost() -> List[str]:
     ]
 
 
-def _again(options: Dict[str, Any], place: Path, folder: str) -> float:
+def _again(options: Dict[str, object], place: Path, folder: str) -> float:
     """CPU seconds of a run that finds the matched heights in its workspace, and nothing that comes after them."""
     for path in (*place.glob("dsm*"), *place.glob("registered*")):
         shutil.rmtree(path) if path.is_dir() else path.unlink()
@@ -362,7 +362,7 @@ def strips() -> List[str]:
 _DATUM = {"reference_datum": "ellipsoid"}
 
 
-def _boxes(scene: SceneFile) -> List[Any]:
+def _boxes(scene: SceneFile) -> List[object]:
     return [tile.bounds for tile in scene.tiles]
 
 

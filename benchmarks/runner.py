@@ -60,8 +60,8 @@ def earlier(revision: str, folder: Path) -> Optional[Path]:
 
 
 def stage(
-    name: str, progress: Progress = Silent(), parameters: Optional[EngineParameters] = None, **options: Any
-) -> Dict[str, Any]:
+    name: str, progress: Progress = Silent(), parameters: Optional[EngineParameters] = None, **options: object
+) -> Dict[str, object]:
     """A stage's results; ``parameters`` are for the stages that take them."""
     return run_stage(name, options, progress, parameters)
 
@@ -71,8 +71,8 @@ def pipeline(
     folder: Any,
     progress: Progress = Silent(),
     parameters: EngineParameters = ENGINE,
-    **options: Any,
-) -> Dict[str, Any]:
+    **options: object,
+) -> Dict[str, object]:
     """The pipeline's results; the workspace is ``w`` and the DSM ``dsm.tif`` in a folder."""
     made = {"images": list(images), "workspace": f"{folder}/w", "output": f"{folder}/dsm.tif", **options}
     return run_stage("pipeline", made, progress, parameters)
@@ -91,7 +91,7 @@ class Alone:
     child_mib: float
 
 
-def alone(function: Callable[..., Any], *arguments: Any) -> Alone:
+def alone(function: Callable[..., object], *arguments: object) -> Alone:
     """Run a function of a benchmark in a new process; arguments and result are JSON-able. Raises Failed."""
     command = [sys.executable, "-m", "benchmarks", "--alone", function.__module__, function.__name__]
     done = subprocess.run([*command, json.dumps(arguments)], cwd=ROOT, capture_output=True, text=True, check=False)
@@ -145,7 +145,7 @@ def measured(
     process = subprocess.Popen(command, **pipes, text=True, cwd=folder, env=environment, start_new_session=True)
     printed: List[str] = ["", ""]
 
-    def listen(number: int, stream: Any) -> None:
+    def listen(number: int, stream: object) -> None:
         printed[number] = stream.read()
 
     readers = [threading.Thread(target=listen, args=(i, s)) for i, s in enumerate((process.stdout, process.stderr))]
@@ -165,7 +165,7 @@ def measured(
     return printed[0], Cost(time.monotonic() - start, cpu, peak)
 
 
-def made_by(tree: Path, images: Sequence[str], folder: str, **options: Any) -> Tuple[str, Cost]:
+def made_by(tree: Path, images: Sequence[str], folder: str, **options: object) -> Tuple[str, Cost]:
     """The DSM that the pipeline of a checkout makes of images in a folder, and its cost as a whole command."""
     dsm, job = f"{folder}/dsm.tif", Path(folder, "job.json")
     made = {"images": list(images), "workspace": f"{folder}/w", "output": dsm, **options}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Tuple
+from typing import Tuple
 
 import numpy as np
 from osgeo import gdal
@@ -43,7 +43,7 @@ def bounds_of(dataset: gdal.Dataset) -> Tuple[float, float, float, float]:
     return g[0], g[3] + g[5] * dataset.RasterYSize, g[0] + g[1] * dataset.RasterXSize, g[3]
 
 
-def warped(dsm: str, **options: Any) -> np.ndarray:
+def warped(dsm: str, **options: object) -> np.ndarray:
     """A DSM's heights on another grid, NaN where it has none."""
     settings = {"format": "MEM", "dstNodata": -99999, "outputType": gdal.GDT_Float32, **options}
     return heights_of(gdal.Warp("", gdal.Open(dsm), **settings))

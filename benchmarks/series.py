@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import dataclass
-from typing import Any, Dict, List, Sequence
+from typing import Dict, List, Sequence
 
 import numpy as np
 import pyproj
@@ -69,7 +69,7 @@ def _heights(case: Case, date: int) -> np.ndarray:
     return heights
 
 
-def written(case: Case, folder: str) -> Dict[str, Any]:
+def written(case: Case, folder: str) -> Dict[str, object]:
     """Write a case's DSMs; gives the options of a run that follows them."""
     rng, paths = np.random.default_rng(case.dates), []
     for date in range(case.dates):
@@ -90,7 +90,7 @@ def written(case: Case, folder: str) -> Dict[str, Any]:
     return {"dsms": paths, "dates": days, "table": f"{folder}/table.csv", **names}
 
 
-def follow(options: Dict[str, Any]) -> Dict[str, Any]:
+def follow(options: Dict[str, object]) -> Dict[str, object]:
     """What the stage says of a run with these options."""
     return stage("series", **options)
 
@@ -100,7 +100,7 @@ def _bands(path: str) -> List[np.ndarray]:
         return [raster.read(dataset, None, band) for band in range(1, dataset.RasterCount + 1)]
 
 
-def scored(case: Case) -> List[Any]:
+def scored(case: Case) -> List[object]:
     """A case's row."""
     with tempfile.TemporaryDirectory() as folder:
         options = written(case, folder)

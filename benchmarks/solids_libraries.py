@@ -19,7 +19,7 @@ _DEPTH, _THIN = 9, 0.02  # of Poisson's octree, and the share of its vertices of
 _RADII = (1.0, 2.0, 4.0)  # of the pivoting balls, in distances between points
 
 
-def read(path: str) -> Dict[str, Any]:
+def read(path: str) -> Dict[str, object]:
     if path.endswith(".cloud.ply"):
         cloud = open3d.io.read_point_cloud(path)
         other = trimesh.load(path)
@@ -30,13 +30,13 @@ def read(path: str) -> Dict[str, Any]:
     return {"counts": [len(mesh.triangles), len(other.faces)], "picture": mesh.has_textures()}
 
 
-def _scores(mesh: Any, truth: str) -> Dict[str, Any]:
+def _scores(mesh: Any, truth: str) -> Dict[str, object]:
     """Distances of the truth's points from a mesh: RMS (m), and the share within 0.5 m (%)."""
     points = np.load(truth)
     scene = open3d.t.geometry.RaycastingScene()
     moved = open3d.geometry.TriangleMesh(mesh).translate(-points["origin"])
     scene.add_triangles(open3d.t.geometry.TriangleMesh.from_legacy(moved))
-    found: Dict[str, Any] = {"triangles": len(mesh.triangles)}
+    found: Dict[str, object] = {"triangles": len(mesh.triangles)}
     for name in points.files:
         if name != "origin":
             places = (points[name] - points["origin"]).astype(np.float32)
@@ -53,23 +53,23 @@ def _cloud(path: str, truth: str) -> Any:
     return open3d.io.read_point_cloud(path).crop(open3d.geometry.AxisAlignedBoundingBox(low, high))
 
 
-def simplify(path: str, truth: str, triangles: str) -> Dict[str, Any]:
+def simplify(path: str, truth: str, triangles: str) -> Dict[str, object]:
     mesh = open3d.io.read_triangle_mesh(path)
     return _scores(mesh.simplify_quadric_decimation(int(triangles)), truth)
 
 
-def distance(path: str, truth: str) -> Dict[str, Any]:
+def distance(path: str, truth: str) -> Dict[str, object]:
     return _scores(open3d.io.read_triangle_mesh(path), truth)
 
 
-def poisson(path: str, truth: str) -> Dict[str, Any]:
+def poisson(path: str, truth: str) -> Dict[str, object]:
     cloud = _cloud(path, truth)
     mesh, density = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(cloud, depth=_DEPTH, n_threads=1)
     mesh.remove_vertices_by_mask(np.asarray(density) < np.quantile(np.asarray(density), _THIN))
     return _scores(mesh, truth)
 
 
-def pivoting(path: str, truth: str) -> Dict[str, Any]:
+def pivoting(path: str, truth: str) -> Dict[str, object]:
     cloud = _cloud(path, truth)
     apart = float(np.median(np.asarray(cloud.compute_nearest_neighbor_distance())))
     radii = open3d.utility.DoubleVector([radius * max(apart, 0.25) for radius in _RADII])

@@ -9,7 +9,7 @@ import json
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Dict, Iterator, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -61,7 +61,7 @@ def _turn(work: Work, tree: Path) -> Tuple[Cost, Dict[str, float]]:
     return cost, seconds
 
 
-def _timed(work: Work, before: Optional[Path]) -> Tuple[List[Any], List[Any]]:
+def _timed(work: Work, before: Optional[Path]) -> Tuple[List[object], List[object]]:
     """Rows of the two tables: medians of the turns, and ratios turn by turn."""
     turns: List[Tuple[Cost, ...]] = []
     stages: List[Dict[str, float]] = []
@@ -73,7 +73,7 @@ def _timed(work: Work, before: Optional[Path]) -> Tuple[List[Any], List[Any]]:
         stages.append(found[0][1])
     figures = np.array([[(c.cpu_s, c.wall_s, c.peak_gib) for c in turn] for turn in turns])
     middle = np.median(figures, axis=0)
-    row: List[Any] = [work.name]
+    row: List[object] = [work.name]
     for number in range(3):
         row += [float(engine[number]) for engine in middle[::-1]]
         if before is not None and number < 2:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import replace
-from typing import Any, Callable, Iterator, List, Sequence, Tuple
+from typing import Callable, Iterator, List, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -129,7 +129,7 @@ def cases(name: str, scene: Scene) -> Iterator[Tuple[str, Case]]:
 
 
 def fractions() -> List[str]:
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     for name, scene in few(SCENES):
         for label, case in cases(name, scene()):
             for what, from_truth, parameters in STARTS:

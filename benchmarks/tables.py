@@ -7,7 +7,7 @@ import re
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, List, Sequence, Union
+from typing import Callable, Dict, Iterable, List, Sequence, Union
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
@@ -30,7 +30,7 @@ class Section:
     page: str = "benchmarks.md"
 
 
-def table(headers: Union[str, Sequence[str]], rows: Iterable[Sequence[Any]]) -> str:
+def table(headers: Union[str, Sequence[str]], rows: Iterable[Sequence[object]]) -> str:
     """A Markdown table; ``headers`` may be one string with bars between them. Floats have four significant digits."""
     names = [name.strip() for name in headers.split("|")] if isinstance(headers, str) else headers
     lines = ["| " + " | ".join(names) + " |", "|" + "---|" * len(names)]
@@ -38,7 +38,7 @@ def table(headers: Union[str, Sequence[str]], rows: Iterable[Sequence[Any]]) -> 
     return "\n".join(lines)
 
 
-def _cell(value: Any) -> str:
+def _cell(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 

@@ -11,7 +11,7 @@ import os
 import tempfile
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
 from scipy import ndimage
@@ -97,13 +97,13 @@ class Truth:
 _LIDAR = Truth(str(_FOLDER / "truth_west.tif"), str(_FOLDER / "classes_west.tif"))
 
 
-def _made(images: Sequence[str], folder: str, tree: Path = ROOT, **options: Any) -> Tuple[str, float]:
+def _made(images: Sequence[str], folder: str, tree: Path = ROOT, **options: object) -> Tuple[str, float]:
     """The DSM that a checkout's pipeline makes, and its CPU seconds."""
     dsm, cost = made_by(tree, images, folder, **{"resolution": 0.5, **options})
     return dsm, cost.cpu_s
 
 
-def _rows(label: str, names: Sequence[str]) -> List[List[Any]]:
+def _rows(label: str, names: Sequence[str]) -> List[List[object]]:
     """The DSM of some images with its holes, and with holes interpolated."""
     images = _images(names)
     with tempfile.TemporaryDirectory() as folder:
@@ -296,7 +296,7 @@ def quality() -> List[str]:
 BEFORE = os.environ.get("REPM_BENCH_TOWNS_BEFORE", "8cf13de")
 _SIMULATED_SETS = {"2": (0, 1), "3, January": (7, 8, 9), "6": range(6), "12": range(12)}
 _OFF = EffectParameters()
-_WITHOUT: Dict[str, Dict[str, Any]] = {
+_WITHOUT: Dict[str, Dict[str, object]] = {
     "all effects": {},
     "one sun": {"moving_sun": False},
     "crisp shadows": {"sun_disc_deg": _OFF.sun_disc_deg},
@@ -310,7 +310,7 @@ _WITHOUT: Dict[str, Dict[str, Any]] = {
 }
 
 
-def _simulated_scene(name: str, dates: int, changes: Dict[str, Any]) -> Path:
+def _simulated_scene(name: str, dates: int, changes: Dict[str, object]) -> Path:
     """The folder of the simulated town of the first dates, with the real effects but for changes.
 
     Only scenes of equally many dates show the same town.
@@ -321,7 +321,7 @@ def _simulated_scene(name: str, dates: int, changes: Dict[str, Any]) -> Path:
     return made_once(folder, lambda: make_dated_scene(spec, str(folder), Silent(), every))
 
 
-def _simulated_row(labels: Sequence[str], scene: Path, chosen: Sequence[int], tree: Path = ROOT) -> List[Any]:
+def _simulated_row(labels: Sequence[str], scene: Path, chosen: Sequence[int], tree: Path = ROOT) -> List[object]:
     say(f"{' '.join(labels)} ...")
     images = [str(scene / f"img_{number + 1:02d}.tif") for number in chosen]
     with tempfile.TemporaryDirectory() as folder:

@@ -9,9 +9,10 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from osgeo import ogr
 
 from benchmarks.runner import is_quick, pipeline
@@ -69,7 +70,7 @@ class RecordedTown(Town):
         self.owner: IntArray = np.full(ground.height.shape, -1, np.int64)
         super().__init__(ground, base, seed, Silent())
 
-    def _put(self, area: Area, inside: Mask, height: Any, tone: Any) -> None:
+    def _put(self, area: Area, inside: Mask, height: ArrayLike, tone: ArrayLike) -> None:
         below = (self._ground.height[area] - self._terrain[area])[inside]
         grounded = bool(np.quantile(below, 0.9) < _BARE_M)
         super()._put(area, inside, height, tone)
@@ -123,7 +124,7 @@ class Dates:
         return str(self.folder / f"truth_{date}.tif")
 
     @property
-    def changes(self) -> List[Dict[str, Any]]:
+    def changes(self) -> List[Dict[str, object]]:
         """The buildings: kind, outline as WKT, area (m2) and volume (m3)."""
         return list(json.loads((self.folder / "changes.json").read_text(encoding="utf-8")))
 

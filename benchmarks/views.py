@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import replace
-from typing import Any, Callable, Dict, List, Sequence, Tuple
+from typing import Callable, Dict, List, Sequence, Tuple
 
 import numpy as np
 
@@ -30,7 +30,7 @@ SCENES: Sequence[Tuple[str, Callable[[], Scene]]] = (
 )
 
 
-def scored(scene: SceneFile, pairs: Sequence[Tuple[str, str]], truth: str, folder: str) -> Dict[str, Any]:
+def scored(scene: SceneFile, pairs: Sequence[Tuple[str, str]], truth: str, folder: str) -> Dict[str, object]:
     """Fuse the height maps of some pairs of a scene, and compare."""
     scene = scene.with_tiles(lambda tile: replace(tile, heights=tuple(r for r in tile.heights if r.pair in pairs)))
     path = scene.save(f"{folder}/chosen.json")
@@ -47,7 +47,7 @@ def where_both(whole: np.ndarray, part: np.ndarray) -> float:
     return float(np.sqrt((errors**2).mean()))
 
 
-def rows_of(name: str, scene: Scene, folder: str) -> List[List[Any]]:
+def rows_of(name: str, scene: Scene, folder: str) -> List[List[object]]:
     """A scene's rows: each pair, then all views."""
     made = SceneFile.load(pipeline(scene.images, folder)["scene"])
     pairs = sorted({record.pair for tile in made.tiles for record in tile.heights})
@@ -63,7 +63,7 @@ def rows_of(name: str, scene: Scene, folder: str) -> List[List[Any]]:
 
 
 def third_view() -> List[str]:
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     for name, scene in few(SCENES):
         with tempfile.TemporaryDirectory() as folder:
             rows += rows_of(name, scene(), folder)

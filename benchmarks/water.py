@@ -41,7 +41,7 @@ def _on(path: Path, truth: gdal.Dataset, nodata: float) -> np.ndarray:
     return np.asarray(warped.ReadAsArray(), float)
 
 
-def _wet(kind: str, seed: int, what: str) -> List[List[Any]]:
+def _wet(kind: str, seed: int, what: str) -> List[List[object]]:
     folder, river, xs = CACHE / f"water_{kind}_{seed}_{what.replace(', ', '_')}_{_SIZE}", what == "river", "XS" in what
 
     def simulate() -> None:
@@ -78,7 +78,7 @@ def _level(error: np.ndarray) -> str:
     return ", ".join(f"{value:+.2f}" for value in np.percentile(known, (5, 50, 95)))
 
 
-def _dry() -> Tuple[List[List[Any]], List[str]]:
+def _dry() -> Tuple[List[List[object]], List[str]]:
     rows, absent = [], []
     for name, files in few(list(_DRY.items())):
         images = [str(SHARED / file) for file in files]
@@ -111,7 +111,7 @@ def water() -> List[str]:
     ]
 
 
-def _patches(kind: str, seed: int, lakes: bool) -> List[List[Any]]:
+def _patches(kind: str, seed: int, lakes: bool) -> List[List[object]]:
     """What share of dark patches, of lakes and of other land is taken for water, with XS and without."""
     name = f"dark_{kind}_{seed}{'_lakes' * lakes}_{_SIZE}"
     folder, made = CACHE / name, CACHE / f"{name}_water"

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import inspect
 import time
-from typing import Any
 
 
 def allow_missing_times() -> None:
@@ -19,7 +18,7 @@ def allow_missing_times() -> None:
     if inspect.signature(add).parameters["timestamp"].default is not inspect.Parameter.empty:
         return  # by us, or by a QGIS that has fixed it
 
-    def with_time(icon: Any, name: str, timestamp: Any = None, result: Any = None) -> None:
+    def with_time(icon: object, name: str, timestamp: object = None, result: object = None) -> None:
         add(icon, name, timestamp or time.localtime(), result)
 
     resultsList.addResult = with_time

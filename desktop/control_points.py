@@ -6,7 +6,7 @@ The computation is the engine's (:mod:`repm_qgis.pointing.gcp_measuring`), and l
 from __future__ import annotations
 
 import os
-from typing import Any, Callable, Optional
+from typing import Any, Callable, Optional, Sequence
 
 import numpy as np
 from qgis.core import (
@@ -21,8 +21,15 @@ from qgis.core import (
     QgsSettings,
     QgsWkbTypes,
 )
-from qgis.gui import QgsDockWidget, QgsMapLayerComboBox, QgsMapToolEmitPoint, QgsRubberBand, QgsVertexMarker
-from qgis.PyQt.QtCore import Qt
+from qgis.gui import (
+    QgisInterface,
+    QgsDockWidget,
+    QgsMapLayerComboBox,
+    QgsMapToolEmitPoint,
+    QgsRubberBand,
+    QgsVertexMarker,
+)
+from qgis.PyQt.QtCore import QEvent, QModelIndex, Qt
 from qgis.PyQt.QtGui import QColor, QKeySequence
 from qgis.PyQt.QtWidgets import (
     QAbstractItemView,
@@ -91,7 +98,7 @@ class _ViewPanel(QWidget):
 class ControlPointsDock(QgsDockWidget):
     """Measures control points; ``close_down`` takes its marks and its tool off the map."""
 
-    def __init__(self, iface: Any) -> None:
+    def __init__(self, iface: QgisInterface) -> None:
         from ..repm_qgis.pointing.gcp_measuring import GcpMeasuring
 
         super().__init__(iface.mainWindow())
@@ -184,7 +191,7 @@ class ControlPointsDock(QgsDockWidget):
         layout.addWidget(self.said)
         self.setWidget(inside)
 
-    def _button(self, text: str, run: Callable[[], Any]) -> QPushButton:
+    def _button(self, text: str, run: Callable[[], object]) -> QPushButton:
         button = QPushButton(text)
         button.clicked.connect(lambda: run())
         return button
@@ -324,7 +331,7 @@ class ControlPointsDock(QgsDockWidget):
             if hasattr(layer, "geometryType") and layer.geometryType() in kinds:
                 menu.addAction(layer.name(), lambda layer=layer: self._open_layer(layer))
 
-    def _open_layer(self, layer: Any) -> None:
+    def _open_layer(self, layer: object) -> None:
         try:
             self.open_points(points_path(layer, QgsProcessingContext()))
         except QgsProcessingException as error:
@@ -352,12 +359,12 @@ class ControlPointsDock(QgsDockWidget):
             at = names.index(self._current) if self._current in names else -steps
             self.choose(names[min(max(at + steps, 0), len(names) - 1)])
 
-    def _row_chosen(self, row: Any, _: Any) -> None:
+    def _row_chosen(self, row: QModelIndex, _: object) -> None:
         names = [gcp.id for gcp in self.measuring.points]
         if row.isValid() and names[row.row()] != self._current:
             self.choose(names[row.row()])
 
-    def _set_views(self, views: Any) -> None:
+    def _set_views(self, views: Sequence[object]) -> None:
         self.measuring.views = tuple(views)
         for panel in self.panels:
             panel.deleteLater()
@@ -373,7 +380,7 @@ class ControlPointsDock(QgsDockWidget):
             return
         self._refresh(move or name != self._current)
 
-    def _tried(self, work: Callable[[], Any]) -> bool:
+    def _tried(self, work: Callable[[], object]) -> bool:
         from ..repm_qgis.contracts.errors import RepmError
 
         try:
@@ -465,7 +472,7 @@ class ControlPointsDock(QgsDockWidget):
             miss=f"{check.largest_miss_px:.2f}",
         )
 
-    def closeEvent(self, event: Any) -> None:
+    def closeEvent(self, event: QEvent) -> None:
         if self.measuring.unsaved and not self._path:
             buttons = QMessageBox.StandardButton.Save, QMessageBox.StandardButton.Discard
             question = self.tr("The measured points are not saved. Save them now? They stay here until QGIS closes.")
@@ -478,6 +485,6 @@ class ControlPointsDock(QgsDockWidget):
         self._chosen.hide()
         super().closeEvent(event)
 
-    def showEvent(self, event: Any) -> None:
+    def showEvent(self, event: QEvent) -> None:
         self._refresh()
         super().showEvent(event)

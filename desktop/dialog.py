@@ -7,7 +7,7 @@ The widgets stay QGIS's: the graphical modeler and the batch dialog need them as
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Any, Callable, Mapping, Sequence
+from typing import Callable, Mapping, Sequence
 
 from processing.gui.AlgorithmDialog import AlgorithmDialog
 from processing.gui.AlgorithmDialogBase import AlgorithmDialogBase
@@ -18,7 +18,7 @@ from qgis.core import (
     QgsProcessingParameterDefinition,
     QgsVectorLayer,
 )
-from qgis.PyQt.QtCore import QCoreApplication, QPoint
+from qgis.PyQt.QtCore import QCoreApplication, QEvent, QPoint
 from qgis.PyQt.QtWidgets import (
     QAbstractSpinBox,
     QComboBox,
@@ -45,19 +45,19 @@ _LEAST_GROUPS = 3  # at least so many parameters below a heading
 class Dialog(AlgorithmDialog):
     """Processing's dialog with our panel in it."""
 
-    def getParametersPanel(self, alg: QgsProcessingAlgorithm, parent: Any) -> Panel:
+    def getParametersPanel(self, alg: QgsProcessingAlgorithm, parent: object) -> Panel:
         return Panel(parent, alg, self.in_place, self.active_layer)
 
-    _given: Mapping[str, Any] = {}  # of the last run
+    _given: Mapping[str, object] = {}  # of the last run
     _in_use: set[Dialog] = set()
     """Dialogs that are shown or run something. Python 3.14 forgets one that nobody else refers to, such as one of
     ``processing.createAlgorithmDialog``; the run then uses objects that no longer exist, and QGIS crashes."""
 
-    def showEvent(self, event: Any) -> None:
+    def showEvent(self, event: QEvent) -> None:
         self._in_use.add(self)
         super().showEvent(event)
 
-    def hideEvent(self, event: Any) -> None:
+    def hideEvent(self, event: QEvent) -> None:
         super().hideEvent(event)
         if not self.cancelButton().isEnabled():  # else it runs something
             self._in_use.discard(self)
@@ -69,7 +69,7 @@ class Dialog(AlgorithmDialog):
             self._given = self.createProcessingParameters()
         super().runAlgorithm()
 
-    def finish(self, successful: bool, result: Any, *more: Any, **named: Any) -> None:
+    def finish(self, successful: bool, result: object, *more: object, **named: object) -> None:
         """Offers the next step on the map, and here as well, where this dialog stays open."""
         super().finish(successful, result, *more, **named)
         if not self.isVisible():
@@ -79,7 +79,7 @@ class Dialog(AlgorithmDialog):
             if buttons and self.isVisible():
                 push_message(self.messageBar(), text, [(title, self._closing(run)) for title, run in buttons])
 
-    def _closing(self, run: Callable[[], Any]) -> Callable[[], None]:
+    def _closing(self, run: Callable[[], object]) -> Callable[[], None]:
         """The action of a button of this dialog: the next step's dialog opens where this one stood."""
 
         def close_and_run() -> None:
@@ -111,18 +111,18 @@ class Panel(ParametersPanel):
         self._preset = "none"
         self._follow("PRESET", self._fill_in)
 
-    def setParameters(self, parameters: Mapping[str, Any]) -> None:
+    def setParameters(self, parameters: Mapping[str, object]) -> None:
         """QGIS opens each file of a list as a layer, and drops those that are no layers, such as scenes and RPCs."""
         super().setParameters({name: self._kept(name, value) for name, value in parameters.items()})
 
-    def _kept(self, name: str, value: Any) -> Any:
+    def _kept(self, name: str, value: object) -> object:
         """A list of files as layers without a provider, which keep their source whatever it is."""
         definition = self.algorithm().parameterDefinition(name)
         if definition is None or definition.type() != "multilayer" or is_empty(value):
             return value
         any_file = definition.layerType() == QgsProcessing.SourceType.TypeFile
 
-        def is_dropped(file: Any) -> bool:
+        def is_dropped(file: str) -> bool:
             return isinstance(file, str) and (any_file or file.lower().endswith(".json"))  # scenes among rasters
 
         files = value if isinstance(value, (list, tuple)) else [value]
@@ -189,10 +189,10 @@ class Panel(ParametersPanel):
             layout.insertWidget(layout.indexOf(row), heading)
             self._headings.append(heading)
 
-    def _value(self, name: str) -> Any:
+    def _value(self, name: str) -> object:
         return self.wrappers[name].parameterValue()
 
-    def _set(self, name: str, value: Any) -> None:
+    def _set(self, name: str, value: object) -> None:
         self.wrappers[name].setParameterValue(value, self.processing_context)
 
     def _follow(self, name: str, act: Callable[[], None]) -> None:

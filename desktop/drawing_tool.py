@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Optional
+from typing import Optional
 
 from qgis.core import QgsGeometry, QgsPointXY, QgsWkbTypes
-from qgis.gui import QgsMapTool, QgsRubberBand
-from qgis.PyQt.QtCore import Qt, pyqtSignal
+from qgis.gui import QgsMapCanvas, QgsMapTool, QgsRubberBand
+from qgis.PyQt.QtCore import QEvent, Qt, pyqtSignal
 from qgis.PyQt.QtGui import QColor
 
 POLYGON, LINE, BRUSH = "polygon", "line", "brush"
@@ -23,7 +23,7 @@ class DrawingTool(QgsMapTool):
 
     drawn = pyqtSignal(QgsGeometry)
 
-    def __init__(self, canvas: Any) -> None:
+    def __init__(self, canvas: QgsMapCanvas) -> None:
         super().__init__(canvas)
         self.kind, self._brush_px = POLYGON, 1
         self._points: list[QgsPointXY] = []
@@ -35,12 +35,12 @@ class DrawingTool(QgsMapTool):
         self._forget()
         self.kind, self._brush_px = kind, max(1, brush_px)
 
-    def canvasPressEvent(self, event: Any) -> None:
+    def canvasPressEvent(self, event: QEvent) -> None:
         if self.kind == BRUSH and event.button() == Qt.MouseButton.LeftButton:
             self._points = [event.mapPoint()]
             self._show()
 
-    def canvasMoveEvent(self, event: Any) -> None:
+    def canvasMoveEvent(self, event: QEvent) -> None:
         if not self._points:
             return
         place = event.mapPoint()
@@ -50,7 +50,7 @@ class DrawingTool(QgsMapTool):
         else:
             self._show(place)
 
-    def canvasReleaseEvent(self, event: Any) -> None:
+    def canvasReleaseEvent(self, event: QEvent) -> None:
         left = event.button() == Qt.MouseButton.LeftButton
         if self.kind == BRUSH:
             if left and self._points:
@@ -61,7 +61,7 @@ class DrawingTool(QgsMapTool):
         elif event.button() == Qt.MouseButton.RightButton:
             self._finish()
 
-    def keyPressEvent(self, event: Any) -> None:
+    def keyPressEvent(self, event: QEvent) -> None:
         if event.key() == Qt.Key.Key_Escape:
             self._forget()
         elif event.key() in (Qt.Key.Key_Backspace, Qt.Key.Key_Delete) and self.kind != BRUSH:

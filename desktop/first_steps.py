@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import glob
 import os
-from typing import Any, Callable
+from typing import Callable
 
 from qgis.core import QgsSettings
-from qgis.PyQt.QtCore import QStandardPaths, Qt
+from qgis.gui import QgisInterface
+from qgis.PyQt.QtCore import QEvent, QStandardPaths, Qt
 from qgis.PyQt.QtWidgets import QDialog, QGridLayout, QLabel, QPushButton
 
 from ..processing_provider import installation
+from ..repm_qgis.contracts.documents import JsonMapping
 from .documents import open_document
 
 SHOWN = "repm/first_steps_shown"
 SAMPLE = "repm/sample_folder"
 
 
-def show_once(show: Callable[[], Any]) -> None:
+def show_once(show: Callable[[], object]) -> None:
     """Show the panel on the first start after the installation, and never again by itself."""
     if not QgsSettings().value(SHOWN, False, type=bool):
         QgsSettings().setValue(SHOWN, True)
@@ -32,7 +34,7 @@ def _sample_images() -> list[str]:
 class FirstSteps(QDialog):
     """The steps, each with one button: the DSM waits for the images; packages are a step where they are missing."""
 
-    def __init__(self, iface: Any, install: Callable[[], Any]) -> None:
+    def __init__(self, iface: QgisInterface, install: Callable[[], object]) -> None:
         super().__init__(iface.mainWindow())
         self.setWindowTitle(self.tr("REPM: first steps"))
         self._layout = QGridLayout(self)
@@ -68,11 +70,11 @@ class FirstSteps(QDialog):
         self._layout.addWidget(later, 5, 0, 1, 3)
         self.refresh()
 
-    def showEvent(self, event: Any) -> None:
+    def showEvent(self, event: QEvent) -> None:
         self.refresh()
         super().showEvent(event)
 
-    def _step(self, number: int, text: str, button_text: str, run: Callable[[], Any]) -> QPushButton:
+    def _step(self, number: int, text: str, button_text: str, run: Callable[[], object]) -> QPushButton:
         figure, label, button = QLabel(f"<big>{number or '!'}</big>"), QLabel(text), QPushButton(button_text)
         label.setWordWrap(True)
         label.setMinimumWidth(330)
@@ -96,7 +98,7 @@ class FirstSteps(QDialog):
         folder = str(QgsSettings().value(SAMPLE, "") or os.path.join(documents, "REPM", self.tr("sample images")))
         self._run("repm:sampledata", {"FOLDER": folder}, self._images_made)
 
-    def _images_made(self, successful: bool, results: Any) -> None:
+    def _images_made(self, successful: bool, results: JsonMapping) -> None:
         if successful and results.get("FOLDER"):
             QgsSettings().setValue(SAMPLE, results["FOLDER"])
         self.refresh()
@@ -105,7 +107,9 @@ class FirstSteps(QDialog):
         workspace = os.path.join(os.path.dirname(str(QgsSettings().value(SAMPLE))), self.tr("sample town"))
         self._run("repm:pipeline", {"IMAGES": _sample_images(), "WORKSPACE": workspace})
 
-    def _run(self, algorithm: str, parameters: dict[str, Any], finished: Callable[..., Any] = lambda *_: None) -> None:
+    def _run(
+        self, algorithm: str, parameters: dict[str, object], finished: Callable[..., object] = lambda *_: None
+    ) -> None:
         """Open an algorithm's dialog with these parameters: progress, log and cancel are Processing's own."""
         import processing
 

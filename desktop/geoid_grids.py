@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import importlib
 import os
-from typing import Any, NamedTuple, Optional
+from types import ModuleType
+from typing import NamedTuple, Optional
 
 from qgis.core import QgsFileDownloader
-from qgis.PyQt.QtCore import QCoreApplication, QUrl
+from qgis.gui import QgisInterface
+from qgis.PyQt.QtCore import QCoreApplication, QEvent, QUrl
 from qgis.PyQt.QtWidgets import QDialog, QGridLayout, QLabel, QProgressBar, QPushButton
 
 from ..processing_provider.language import said
@@ -27,7 +29,7 @@ class Grid(NamedTuple):
     size_mb: int
 
 
-def _datadir() -> Any:
+def _datadir() -> ModuleType:
     """pyproj's module of PROJ's folders, whose types leave some of its functions out."""
     return importlib.import_module("pyproj.datadir")
 
@@ -52,7 +54,7 @@ def address(name: str) -> QUrl:
 class GeoidGridsDialog(QDialog):
     """One line for each grid: what it is for, and a button that fetches it; QGIS's own proxy is used."""
 
-    def __init__(self, iface: Any) -> None:
+    def __init__(self, iface: QgisInterface) -> None:
         super().__init__(iface.mainWindow())
         self.setWindowTitle(_tr("REPM: geoid grids"))
         self._loading: Optional[QgsFileDownloader] = None
@@ -95,7 +97,7 @@ class GeoidGridsDialog(QDialog):
             Grid("us_noaa_g2018u0.tif", _tr("NAVD88 (GEOID18): lidar of the contiguous United States"), 21),
         ]
 
-    def showEvent(self, event: Any) -> None:
+    def showEvent(self, event: QEvent) -> None:
         self.refresh()
         super().showEvent(event)
 

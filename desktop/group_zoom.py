@@ -6,9 +6,8 @@ the tree alone (see hillshades.py).
 
 from __future__ import annotations
 
-from typing import Any
-
 from qgis.core import QgsRectangle
+from qgis.gui import QgisInterface
 from qgis.PyQt import sip
 from qgis.PyQt.QtCore import QCoreApplication, QEvent, QObject, QTimer
 from qgis.PyQt.QtWidgets import QApplication, QMenu
@@ -19,7 +18,7 @@ _EDGE = 1.05  # of the group's extent, as QGIS has it
 class GroupZoom(QObject):
     """While it is there, *Zoom to Group* is ours; ``stop`` gives it back."""
 
-    def __init__(self, iface: Any) -> None:
+    def __init__(self, iface: QgisInterface) -> None:
         super().__init__()
         self._canvas, self._view = iface.mapCanvas(), iface.layerTreeView()
         # The mouse opens the menu in the viewport, a key in the view.

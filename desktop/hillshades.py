@@ -9,7 +9,7 @@ hillshade is made again from it when the project is opened. Without the plugin t
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Optional
+from typing import Callable, Optional
 
 from qgis.core import (
     QgsLayerTreeLayer,
@@ -20,10 +20,11 @@ from qgis.core import (
     QgsProject,
     QgsRasterLayer,
 )
+from qgis.gui import QgisInterface
 from qgis.PyQt import sip
-from qgis.PyQt.QtCore import QCoreApplication, QTimer
+from qgis.PyQt.QtCore import QCoreApplication, QObject, QTimer
 from qgis.PyQt.QtWidgets import QAction
-from qgis.PyQt.QtXml import QDomDocument
+from qgis.PyQt.QtXml import QDomDocument, QDomElement
 
 from ..processing_provider.base import resource
 from ..processing_provider.styles import HILLSHADE
@@ -36,13 +37,17 @@ def _wanted(node: QgsLayerTreeLayer) -> bool:
     return str(node.customProperty(HILLSHADE)) == "1"
 
 
+Connection = tuple[QObject, str, Callable[..., object]]
+"""An object, its signal, and what follows."""
+
+
 class Hillshades:
     """While it is there, DSMs of the project have their hillshades; ``stop`` removes these.
 
     With QGIS's ``iface``, the menu of a DSM in the tree of layers can switch its hillshade on and off.
     """
 
-    def __init__(self, project: Optional[QgsProject] = None, iface: Any = None) -> None:
+    def __init__(self, project: Optional[QgsProject] = None, iface: QgisInterface = None) -> None:
         self._project, self._iface = project or QgsProject.instance(), iface
         self._root = self._project.layerTreeRoot()
         self._shades: dict[str, QgsRasterLayer] = {}  # by the DSM's layer; the project does not keep them for us
@@ -50,7 +55,7 @@ class Hillshades:
         self._soon.setSingleShot(True)
         self._soon.timeout.connect(self.arrange)
         later = lambda *_: self._soon.start(0)  # noqa: E731 - while the tree is being changed, it must not be changed
-        self._connections: list[tuple[Any, str, Any]] = [
+        self._connections: list[Connection] = [
             (self._root, "addedChildren", later),
             (self._root, "removedChildren", later),
             (self._root, "customPropertyChanged", lambda _, key: later() if key == HILLSHADE else None),
@@ -58,7 +63,7 @@ class Hillshades:
             (self._project, "readProject", lambda *_: self.arrange()),
             (self._project, "writeProject", self._leave_out),
         ]
-        self._followed: dict[str, list[tuple[Any, str, Any]]] = {}
+        self._followed: dict[str, list[Connection]] = {}
         self._offered: set[str] = set()
         self._usual_opacity = 1.0
         self._action: Optional[QAction] = None
@@ -173,7 +178,7 @@ class Hillshades:
         # is a raster.
         restyle = partial(self._restyle, layer.id())
         reload = partial(self._reload, layer.id())
-        followed = [
+        followed: list[Connection] = [
             (layer, "styleChanged", restyle),
             (layer, "crsChanged", restyle),
             (layer, "dataSourceChanged", reload),
@@ -215,7 +220,7 @@ class Hillshades:
 
     # --- what the user does ---
 
-    def _shown(self, _: Any) -> None:
+    def _shown(self, _: object) -> None:
         """A hillshade is shown where its DSM is, whatever was clicked or which theme was chosen."""
         for node in self._nodes():
             dsm = self._root.findLayer(node.customProperty(_OF))
@@ -257,12 +262,12 @@ class Hillshades:
             each.parentNode().removeChild(each)
 
 
-def _elements(document: QDomDocument, tag: str) -> list[Any]:
+def _elements(document: QDomDocument, tag: str) -> list[QDomElement]:
     found = document.elementsByTagName(tag)
     return [found.at(index).toElement() for index in range(found.count())]
 
 
-def _is_raster(layer: Any) -> bool:
+def _is_raster(layer: object) -> bool:
     return isinstance(layer, QgsRasterLayer) and layer.isValid()
 
 
@@ -272,12 +277,12 @@ def _lies_on(node: QgsLayerTreeLayer, dsm: QgsLayerTreeLayer) -> bool:
     return node.parent().children().index(dsm) == node.parent().children().index(node) + 1
 
 
-def _connect(connections: list[tuple[Any, str, Any]]) -> None:
+def _connect(connections: list[Connection]) -> None:
     for owner, signal, slot in connections:
         getattr(owner, signal).connect(slot)
 
 
-def _disconnect(connections: list[tuple[Any, str, Any]]) -> None:
+def _disconnect(connections: list[Connection]) -> None:
     for owner, signal, slot in connections:
         if not sip.isdeleted(owner):  # QGIS crashes where a signal of a layer that has gone is asked for
             getattr(owner, signal).disconnect(slot)

@@ -9,7 +9,7 @@ import math
 from typing import Any, Optional
 
 import numpy as np
-from qgis.PyQt.QtCore import QPointF, QRectF, QSize, Qt, QTimer, pyqtSignal
+from qgis.PyQt.QtCore import QEvent, QPointF, QRectF, QSize, Qt, QTimer, pyqtSignal
 from qgis.PyQt.QtGui import QColor, QImage, QPainter, QPen
 from qgis.PyQt.QtWidgets import QSizePolicy, QWidget
 
@@ -27,7 +27,7 @@ _KEYS = {
 }
 
 
-def position(event: Any) -> QPointF:
+def position(event: QEvent) -> QPointF:
     """Where a mouse event happened: Qt 6 has another name for it than Qt 5."""
     return event.position() if hasattr(event, "position") else QPointF(event.pos())
 
@@ -113,7 +113,7 @@ class ImageView(QWidget):
             self._picture = QImage(grey.tobytes(), width, height, width, QImage.Format.Format_Grayscale8).copy()
         self.update()
 
-    def paintEvent(self, event: Any) -> None:
+    def paintEvent(self, event: QEvent) -> None:
         painter = QPainter(self)
         painter.fillRect(self.rect(), QColor("#303030"))
         if self._picture is not None:
@@ -142,21 +142,21 @@ class ImageView(QWidget):
             for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
                 painter.drawLine(place + QPointF(4.0 * x, 4.0 * y), place + QPointF(16.0 * x, 16.0 * y))
 
-    def resizeEvent(self, event: Any) -> None:
+    def resizeEvent(self, event: QEvent) -> None:
         if self._whole:
             most = min(self.width() / self._size[0], self.height() / self._size[1])
             self._zoom = max([number for number, scale in enumerate(_SCALES) if scale <= most], default=0)
         self._later.start()
 
-    def wheelEvent(self, event: Any) -> None:
+    def wheelEvent(self, event: QEvent) -> None:
         steps = event.angleDelta().y()
         if steps:
             self.zoom(int(math.copysign(1, steps)), position(event))
 
-    def mousePressEvent(self, event: Any) -> None:
+    def mousePressEvent(self, event: QEvent) -> None:
         self._pressed, self._moved = position(event), False
 
-    def mouseMoveEvent(self, event: Any) -> None:
+    def mouseMoveEvent(self, event: QEvent) -> None:
         if self._pressed is None:
             return
         way = position(event) - self._pressed
@@ -166,12 +166,12 @@ class ImageView(QWidget):
             self._later.start()
             self.update()
 
-    def mouseReleaseEvent(self, event: Any) -> None:
+    def mouseReleaseEvent(self, event: QEvent) -> None:
         if self._pressed is not None and not self._moved and event.button() == Qt.MouseButton.LeftButton:
             self.clicked.emit(*map(float, self.pixel_at(position(event))))
         self._pressed = None
 
-    def keyPressEvent(self, event: Any) -> None:
+    def keyPressEvent(self, event: QEvent) -> None:
         key = event.key()
         place = self.measured if self.measured is not None else self.predicted
         if key in _KEYS and place is not None:

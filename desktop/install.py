@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from typing import Any, Callable, Optional
+from typing import Callable, Optional
 
 from qgis.core import Qgis, QgsApplication, QgsProcessingException, QgsProcessingFeedback, QgsSettings, QgsTask
-from qgis.gui import QgsFileWidget
-from qgis.PyQt.QtCore import QCoreApplication, Qt, QUrl, pyqtSignal
+from qgis.gui import QgisInterface, QgsFileWidget
+from qgis.PyQt.QtCore import QCoreApplication, QEvent, Qt, QUrl, pyqtSignal
 from qgis.PyQt.QtGui import QDesktopServices
 from qgis.PyQt.QtWidgets import (
     QDialog,
@@ -34,7 +34,7 @@ def _tr(text: str) -> str:
     return QCoreApplication.translate("RepmInstall", text)
 
 
-def offer_once(iface: Any, install: Callable[[], Any]) -> Any:
+def offer_once(iface: QgisInterface, install: Callable[[], object]) -> object:
     """Say in the message bar that packages are missing, or are those of an earlier version: once for each of these.
 
     Gives the message, None where there is none.
@@ -80,7 +80,7 @@ class _Feedback(QgsProcessingFeedback):
 class _Task(QgsTask):
     """The installation in the background: QGIS stays alive, and its task manager shows and cancels it too."""
 
-    def __init__(self, title: str, wheels: str, proxy: str, done: Callable[[str], Any]) -> None:
+    def __init__(self, title: str, wheels: str, proxy: str, done: Callable[[str], object]) -> None:
         super().__init__(title, QgsTask.Flag.CanCancel)
         self.feedback = _Feedback()
         self.feedback.progressChanged.connect(self.setProgress)
@@ -114,7 +114,7 @@ class InstallDialog(QDialog):
 
     changed = pyqtSignal()
 
-    def __init__(self, iface: Any) -> None:
+    def __init__(self, iface: QgisInterface) -> None:
         super().__init__(iface.mainWindow())
         self._task: Optional[_Task] = None
         self.setWindowTitle(_tr("REPM: install the engine's packages"))
@@ -163,13 +163,13 @@ class InstallDialog(QDialog):
             layout.addWidget(widget)
         layout.addLayout(buttons)
 
-    def _button(self, text: str, run: Callable[[], Any]) -> QPushButton:
+    def _button(self, text: str, run: Callable[[], object]) -> QPushButton:
         button = QPushButton(text)
         button.setAutoDefault(False)
         button.clicked.connect(lambda: run())
         return button
 
-    def showEvent(self, event: Any) -> None:
+    def showEvent(self, event: QEvent) -> None:
         if self._task is None:
             self._plan()
         super().showEvent(event)

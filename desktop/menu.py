@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Optional
+from typing import Callable, Optional
 
+from qgis.gui import QgisInterface
 from qgis.PyQt.QtCore import QCoreApplication, Qt, QTimer
 from qgis.PyQt.QtGui import QIcon
 from qgis.PyQt.QtWidgets import QAction
@@ -27,13 +28,13 @@ TITLE = "REPM"
 class PluginMenu:
     """Our entries in QGIS's menu, and the windows that they open; ``remove`` takes both away again."""
 
-    def __init__(self, iface: Any) -> None:
+    def __init__(self, iface: QgisInterface) -> None:
         self._iface = iface
-        self._actions: list[Any] = []
+        self._actions: list[QAction] = []
         self._panel: Optional[FirstSteps] = None
         self._installer: Optional[InstallDialog] = None
         self._grids: Optional[GeoidGridsDialog] = None
-        self._offer: Any = None
+        self._offer: object = None
         self._toolbox_actions = model_copy.register()
         batch_pages.allow_missing_times()
         self._hillshades = Hillshades(iface=iface)
@@ -61,7 +62,7 @@ class PluginMenu:
     def tr(self, text: str) -> str:
         return QCoreApplication.translate("PluginMenu", text)
 
-    def add(self, title: str, icon: str, run: Callable[[], Any]) -> QAction:
+    def add(self, title: str, icon: str, run: Callable[[], object]) -> QAction:
         """Add an entry, with an icon of resources/icons ("": none)."""
         action = QAction(QIcon(resource("icons", f"{icon}.svg")) if icon else QIcon(), title, self._iface.mainWindow())
         action.triggered.connect(lambda: run())

@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import math
 import os
-from typing import Any, Callable, Mapping, Optional
+from functools import partial
+from typing import Callable, Mapping, Optional
 
 from qgis.core import (
     Qgis,
     QgsLayerTreeNode,
+    QgsMapLayer,
     QgsProcessing,
     QgsProcessingContext,
     QgsProject,
     QgsRasterLayer,
     QgsVectorLayer,
 )
+from qgis.gui import QgisInterface, QgsMessageBar, QgsMessageBarItem
 from qgis.PyQt.QtCore import QCoreApplication, QSizeF, Qt
 from qgis.PyQt.QtWidgets import QPushButton, QTextBrowser
 
@@ -26,13 +29,16 @@ from ..processing_provider import last_scene
 from ..processing_provider.kept import is_lasting
 from ..processing_provider.language import said
 from ..processing_provider.values import any_paths, is_empty, layer_path
+from ..repm_qgis.contracts.documents import JsonMapping, JsonObject
 from ..repm_qgis.contracts.options import DsmFuseOptions
 from ..repm_qgis.contracts.paths import real_path
 from ..repm_qgis.contracts.products import STYLES, products_of
 from ..repm_qgis.scene import is_registered
 
 _PATH = ("inspect", "pipeline", "dsmfuse", "comparedsm", "register")
-Button = tuple[str, Callable[[], Any]]
+Button = tuple[str, Callable[[], object]]
+Step = tuple[str, list[Button], list[Button]]
+"""A message, its buttons, and those that show something first."""
 
 
 def _tr(text: str) -> str:
@@ -44,15 +50,15 @@ class NextSteps:
 
     def __init__(self) -> None:
         self._reference: list[str] = []
-        self._fused: dict[str, Any] = {}
-        self._iface: Any = None
-        self._bar: Any = None
-        self._shown: Any = None
-        self.edit_dsm: Optional[Callable[[], Any]] = None
+        self._fused: JsonObject = {}
+        self._iface: QgisInterface = None
+        self._bar: Optional[QgsMessageBar] = None
+        self._shown: Optional[QgsMessageBarItem] = None
+        self.edit_dsm: Optional[Callable[[], object]] = None
         """Shows the panel that edits the active layer; the menu, which has it, puts it here."""
 
     def after(
-        self, iface: Any, algorithm: str, given: Mapping[str, Any], results: Mapping[str, Any]
+        self, iface: QgisInterface, algorithm: str, given: JsonMapping, results: JsonMapping
     ) -> tuple[str, list[Button]]:
         """Show in QGIS's message bar what can be done after a run; gives the text and the buttons that open dialogs."""
         if algorithm not in _PATH:
@@ -68,25 +74,25 @@ class NextSteps:
             self._bar, self._shown = iface.messageBar(), push_message(iface.messageBar(), text, [*views, *buttons])
         return text, buttons
 
-    def _after_inspect(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
+    def _after_inspect(self, named: Mapping[str, list[str]], results: JsonMapping) -> Step:
         titles = {"PAIR": _tr("DSM of the best pair…"), "TRIPLET": _tr("DSM of the best triplet…")}
         best = {title: results[name] for name, title in titles.items() if results.get(name)}
-        buttons = [(title, lambda images=images: self.make(images)) for title, images in best.items()]
+        buttons: list[Button] = [(title, partial(self.make, images)) for title, images in best.items()]
         return _tr("The images are inspected.") if buttons else "", buttons, []
 
-    def _after_pipeline(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
+    def _after_pipeline(self, named: Mapping[str, list[str]], results: JsonMapping) -> Step:
         return self._of_a_dsm(results.get("SCENE"), results.get("OUTPUT"))
 
-    def _after_dsmfuse(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
+    def _after_dsmfuse(self, named: Mapping[str, list[str]], results: JsonMapping) -> Step:
         return self._of_a_dsm(next(iter(named["SCENE"]), None), results.get("OUTPUT"))
 
-    def _of_a_dsm(self, scene: Optional[str], dsm: Optional[str]) -> Any:
+    def _of_a_dsm(self, scene: Optional[str], dsm: Optional[str]) -> Step:
         text = _tr("Is the DSM in the right place?")
         if scene and is_registered(scene):  # in a run of its own, or in the same run
             text = _tr("Is the DSM in the right place now?")
         return text, self._measuring(scene, dsm), []
 
-    def _after_comparedsm(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
+    def _after_comparedsm(self, named: Mapping[str, list[str]], results: JsonMapping) -> Step:
         dsm = next(iter(named["DSM"]), "")
         scene = last_scene.of_surface(dsm)
         if not scene or is_registered(scene):
@@ -95,11 +101,11 @@ class NextSteps:
         text = _tr("Is the DSM off by too much? Register its scene.")
         return text, [(_tr("Register to this reference…"), lambda: self.register(scene))], []
 
-    def _after_register(self, named: Mapping[str, list[str]], results: Mapping[str, Any]) -> Any:
+    def _after_register(self, named: Mapping[str, list[str]], results: JsonMapping) -> Step:
         scene = results.get("OUTPUT_SCENE")
         moved = math.sqrt(sum(float(results.get(name) or 0.0) ** 2 for name in ("EAST", "NORTH", "UP")))
         text = _tr("The scene was moved by {distance} m.")
-        views = []
+        views: list[Button] = []
         layer = _layer_of(results.get("DIFFERENCES"))
         if layer is not None:
             _bring_out(layer.id())
@@ -132,13 +138,13 @@ class NextSteps:
 
     def compare(self, dsm: str) -> None:
         layer = _layer_of(dsm)
-        given: dict[str, Any] = {"DSM": dsm if layer is None else layer.id()}
+        given: JsonObject = {"DSM": dsm if layer is None else layer.id()}
         if self._reference:
             given["REFERENCE"] = self._reference[0]
         self._open("comparedsm", given)
 
     def register(self, scene: str) -> None:
-        given: dict[str, Any] = {"SCENE": scene}
+        given: JsonObject = {"SCENE": scene}
         if self._reference:  # as layers that QGIS does not open: it drops what it cannot, such as clouds
             given["REFERENCE"] = [QgsVectorLayer(path, "", "none") for path in self._reference]
         if is_lasting(os.path.dirname(scene)):
@@ -160,7 +166,7 @@ class NextSteps:
             _bring_out(layer_id)
             self.edit_dsm()
 
-    def _open(self, algorithm: str, given: Mapping[str, Any]) -> None:
+    def _open(self, algorithm: str, given: JsonMapping) -> None:
         import processing
 
         self.forget()
@@ -176,7 +182,7 @@ class NextSteps:
 STEPS = NextSteps()
 
 
-def push_message(bar: Any, text: str, buttons: list[Button]) -> Any:
+def push_message(bar: QgsMessageBar, text: str, buttons: list[Button]) -> QgsMessageBarItem:
     """Put a message with buttons into a bar, where it stays."""
     message = bar.createMessage("REPM", text)
     for title, run in buttons:
@@ -208,7 +214,7 @@ def _fusion_inputs() -> list[str]:
     return [name.upper() for name in DsmFuseOptions.names() if name not in others]
 
 
-def _paths(value: Any) -> list[str]:
+def _paths(value: object) -> list[str]:
     context = QgsProcessingContext()
     context.setProject(QgsProject.instance())
     return [path for path in any_paths(value, context, only_named=True) if path]
@@ -224,7 +230,7 @@ def _free(path: str) -> str:
     return path
 
 
-def _layer_of(path: Optional[str]) -> Any:
+def _layer_of(path: Optional[str]) -> Optional[QgsMapLayer]:
     """The layer of a result, None where it is not on the map."""
     if is_empty(path) or path == QgsProcessing.TEMPORARY_OUTPUT:
         return None

@@ -18,10 +18,10 @@ class PointTable(QAbstractTableModel):
     edited = pyqtSignal(str)  # the point's name after the change
     refused = pyqtSignal(str)
 
-    def __init__(self, measuring: Any, parent: Any = None) -> None:
+    def __init__(self, measuring: Any, parent: object = None) -> None:
         super().__init__(parent)
         self._measuring = measuring
-        self._checks: dict[str, Any] = {}
+        self._checks: dict[str, object] = {}
 
     def renew(self) -> None:
         """Points or pixels have changed."""
@@ -44,7 +44,7 @@ class PointTable(QAbstractTableModel):
     def columnCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: B008 - Qt's signature
         return 0 if parent.isValid() else 8
 
-    def headerData(self, section: int, orientation: Any, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
+    def headerData(self, section: int, orientation: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole) -> object:
         if orientation != Qt.Orientation.Horizontal or role != Qt.ItemDataRole.DisplayRole:
             return None
         return (
@@ -58,11 +58,11 @@ class PointTable(QAbstractTableModel):
             self.tr("Latitude (°)"),
         )[section]
 
-    def flags(self, index: QModelIndex) -> Any:
+    def flags(self, index: QModelIndex) -> Qt.ItemFlags:
         own = Qt.ItemFlag.ItemIsEditable if index.column() in FIELDS else Qt.ItemFlag.NoItemFlags
         return super().flags(index) | (Qt.ItemFlag.ItemIsUserCheckable if index.column() == _CHECK_ONLY else own)
 
-    def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
+    def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
         gcp, column = self._measuring.points[index.row()], index.column()
         if role == Qt.ItemDataRole.EditRole and column in FIELDS:
             value = getattr(gcp, FIELDS[column])
@@ -84,14 +84,14 @@ class PointTable(QAbstractTableModel):
             return ""
         return f"{check.distance_m:.2f}" if column == _OFFSET else f"{check.largest_miss_px:.2f}"
 
-    def setData(self, index: QModelIndex, value: Any, role: int = Qt.ItemDataRole.EditRole) -> bool:
+    def setData(self, index: QModelIndex, value: object, role: int = Qt.ItemDataRole.EditRole) -> bool:
         from ..repm_qgis.contracts.errors import InputTableError
 
         if role == Qt.ItemDataRole.CheckStateRole and index.column() == _CHECK_ONLY:
             checked = value in (Qt.CheckState.Checked, 2)  # Qt 6 gives the number
             changed = {"role": "check" if checked else "control"}
         elif role == Qt.ItemDataRole.EditRole and index.column() in FIELDS:
-            changed = {FIELDS[index.column()]: value}
+            changed = {FIELDS[index.column()]: str(value)}
         else:
             return False
         try:

@@ -26,8 +26,8 @@ from qgis.core import (
     QgsRasterLayer,
     QgsWkbTypes,
 )
-from qgis.gui import QgsDockWidget, QgsMapLayerComboBox, QgsRubberBand
-from qgis.PyQt.QtCore import Qt
+from qgis.gui import QgisInterface, QgsDockWidget, QgsMapLayerComboBox, QgsRubberBand
+from qgis.PyQt.QtCore import QEvent, Qt
 from qgis.PyQt.QtGui import QColor, QKeySequence
 from qgis.PyQt.QtWidgets import (
     QComboBox,
@@ -70,7 +70,7 @@ class _Feedback(QgsProcessingFeedback):
 class SurfaceEditingDock(QgsDockWidget):
     """Draws edits of a DSM; ``close_down`` takes its marks and its tool off the map."""
 
-    def __init__(self, iface: Any) -> None:
+    def __init__(self, iface: QgisInterface) -> None:
         super().__init__(iface.mainWindow())
         self.setObjectName("RepmSurfaceEditing")
         self.setWindowTitle(self.tr("Edit a DSM"))
@@ -160,19 +160,19 @@ class SurfaceEditingDock(QgsDockWidget):
         self._canvas.mapToolSet.connect(lambda *_: self._show_tool())
         self._choose_operation()
 
-    def _button(self, text: str, run: Callable[[], Any]) -> QPushButton:
+    def _button(self, text: str, run: Callable[[], object]) -> QPushButton:
         button = QPushButton(text)
         button.clicked.connect(lambda: run())
         return button
 
     # --- the DSM ---
 
-    def _follow_layer(self, layer: Any) -> None:
+    def _follow_layer(self, layer: object) -> None:
         """The active layer is the one to edit, where it is a raster."""
         if isinstance(layer, QgsRasterLayer) and layer.bandCount() == 1:
             self.layers.setLayer(layer)
 
-    def _open_layer(self, layer: Any) -> None:
+    def _open_layer(self, layer: object) -> None:
         """Take up the records of a layer's DSM; an edited DSM stands for its original."""
         from ..repm_qgis.editing.session import DsmEdits, original_of
 
@@ -222,7 +222,7 @@ class SurfaceEditingDock(QgsDockWidget):
             "Left click: a vertex. Right click: the shape is finished. Backspace: one vertex less. Esc: none."
         )
 
-    def _renew_tool(self, *_: Any) -> None:
+    def _renew_tool(self, *_: object) -> None:
         if self._canvas.mapTool() is self._tool and self._tool.kind == BRUSH:
             self._tool.choose(BRUSH, self._brush_px())
 
@@ -446,7 +446,7 @@ class SurfaceEditingDock(QgsDockWidget):
                 area = geometry.type() == kinds.PolygonGeometry
                 self._bands[0 if area else 1].addGeometry(geometry, None)
 
-    def _tried(self, work: Callable[[], Any]) -> bool:
+    def _tried(self, work: Callable[[], object]) -> bool:
         from ..repm_qgis.contracts.errors import RepmError
 
         try:
@@ -459,7 +459,7 @@ class SurfaceEditingDock(QgsDockWidget):
     def _say(self, text: str) -> None:
         self.said.setText(text)
 
-    def closeEvent(self, event: Any) -> None:
+    def closeEvent(self, event: QEvent) -> None:
         if self._canvas.mapTool() is self._tool:
             self._canvas.unsetMapTool(self._tool)
         for band, kind in zip(
@@ -468,7 +468,7 @@ class SurfaceEditingDock(QgsDockWidget):
             band.reset(kind)
         super().closeEvent(event)
 
-    def showEvent(self, event: Any) -> None:
+    def showEvent(self, event: QEvent) -> None:
         self._follow_layer(self._iface.activeLayer())
         self._refresh(self.said.text())
         super().showEvent(event)

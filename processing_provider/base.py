@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import os
 from contextlib import suppress
-from typing import Any, Mapping
+from typing import Any
 
 from qgis.core import (
     QgsApplication,
@@ -25,6 +25,7 @@ from qgis.core import (
 from qgis.PyQt.QtCore import QCoreApplication, QUrl
 from qgis.PyQt.QtGui import QIcon
 
+from ..repm_qgis.contracts.documents import JsonMapping, JsonObject
 from ..repm_qgis.contracts.products import products_of
 from ..repm_qgis.runtime.translation import written_in
 from . import engine, helppages, last_scene, settings, styles
@@ -141,7 +142,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         except WorkspaceError:  # a profile where nothing can be written
             return QUrl.fromLocalFile(os.path.join(PLUGIN_FOLDER, "docs", "algorithms", f"{self.ID}.md")).toString()
 
-    def createCustomParametersWidget(self, parent: Any = None) -> Any:
+    def createCustomParametersWidget(self, parent: object = None) -> Any:
         """Our dialog; QGIS's own where the Processing plugin's is not to be had."""
         try:
             from ..desktop.dialog import Dialog
@@ -161,7 +162,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         """The parameters in the dialog's order; every call makes new ones."""
         raise NotImplementedError
 
-    def initAlgorithm(self, configuration: Any = None) -> None:  # noqa: N803
+    def initAlgorithm(self, configuration: object = None) -> None:  # noqa: N803
         for parameter in self.parameters():
             self.addParameter(parameter)
         for output in self.extra_outputs():
@@ -171,7 +172,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         """Outputs that are no destination parameters."""
         return []
 
-    def checkParameterValues(self, parameters: Mapping[str, Any], context: QgsProcessingContext) -> tuple[bool, str]:
+    def checkParameterValues(self, parameters: JsonMapping, context: QgsProcessingContext) -> tuple[bool, str]:
         """Files and layers as QGIS knows them are checked here, all values by the engine's options."""
         for definition in self.parameterDefinitions():
             problem = self._input_problem(definition, parameters.get(definition.name()), context)
@@ -209,7 +210,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             return self._check_raster(definition, value, context)
         return ""
 
-    def validateInputCrs(self, parameters: Mapping[str, Any], context: QgsProcessingContext) -> bool:
+    def validateInputCrs(self, parameters: JsonMapping, context: QgsProcessingContext) -> bool:
         # Images in sensor geometry have no CRS to match, and QGIS would load each (and write statistics beside it).
         return True
 
@@ -272,7 +273,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         return ""
 
     def prepareAlgorithm(
-        self, parameters: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
+        self, parameters: JsonMapping, context: QgsProcessingContext, feedback: QgsProcessingFeedback
     ) -> bool:
         known = [definition.name() for definition in self.parameterDefinitions()]
         for name in parameters:  # QGIS silently ignores a misspelt name in a command
@@ -283,7 +284,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
                         name=name, id=self.id(), near=near[0]
                     )
                 )
-        self._inputs: dict[str, Any] = {}
+        self._inputs: JsonObject = {}
         for definition in self.parameterDefinitions():
             if not definition.isDestination():
                 self._inputs.update(input_options(self, definition, parameters, context))
@@ -296,17 +297,17 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         return True
 
     def processAlgorithm(
-        self, parameters: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
-    ) -> dict[str, Any]:
-        def processed() -> dict[str, Any]:
+        self, parameters: JsonMapping, context: QgsProcessingContext, feedback: QgsProcessingFeedback
+    ) -> JsonObject:
+        def processed() -> JsonObject:
             with in_workspace(self, parameters, context) as placed:
                 return self._processed(placed, context, feedback)
 
         return engine.in_python_thread(processed)
 
     def _processed(
-        self, parameters: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
-    ) -> dict[str, Any]:
+        self, parameters: JsonMapping, context: QgsProcessingContext, feedback: QgsProcessingFeedback
+    ) -> JsonObject:
         kept_as = {
             definition.name(): destination(self, definition, parameters, context)
             for definition in self.destinationParameterDefinitions()
@@ -350,29 +351,29 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         self._scene = outputs.get("OUTPUT_SCENE") or outputs.get("SCENE")
         return outputs
 
-    def postProcessAlgorithm(self, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> dict[str, Any]:
+    def postProcessAlgorithm(self, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> JsonObject:
         if self._scene:
             last_scene.remember(self._scene)
         return super().postProcessAlgorithm(context, feedback)
 
-    def left_to_engine(self, parameters: Mapping[str, Any]) -> set[str]:
+    def left_to_engine(self, parameters: JsonMapping) -> set[str]:
         """The names of options whose values the engine chooses, as the user gave none."""
         return set()
 
-    def complete(self, options: dict[str, Any]) -> dict[str, Any]:
+    def complete(self, options: JsonObject) -> JsonObject:
         """The engine's options out of the parameters' values, where these are not the same."""
         return options
 
-    def runs_apart(self, options: Mapping[str, Any]) -> bool:
+    def runs_apart(self, options: JsonMapping) -> bool:
         """Whether a run takes a process of its own, with the engine's own packages."""
         return self.HEAVY or bool(options.get("cluster"))
 
-    def run_stage(self, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
+    def run_stage(self, options: JsonMapping, feedback: QgsProcessingFeedback) -> JsonObject:
         run = engine.run_apart if self.runs_apart(options) else engine.run_here
         with engine.sigterm_cancels(feedback):
             return run(self.ID, options, feedback)
 
-    def _scene_name(self, options: Mapping[str, Any]) -> str:
+    def _scene_name(self, options: JsonMapping) -> str:
         """The scene that a run belongs to, "" where its files and folders do not name it."""
         from ..repm_qgis import names
         from ..repm_qgis.scene import is_registered
@@ -390,7 +391,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         with written_in(language()):
             return names.marked(name, registered)
 
-    def _days(self, options: Mapping[str, Any], result: Mapping[str, Any]) -> list[str]:
+    def _days(self, options: JsonMapping, result: JsonMapping) -> list[str]:
         """The days on which the images of a run were taken, as far as they are known."""
         from ..repm_qgis.names import surface_days
         from ..repm_qgis.scene import days

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Mapping
+from typing import Mapping
 
 from qgis.core import QgsProcessingOutputNumber
 
@@ -82,12 +82,12 @@ class Change(RepmAlgorithm):
             )
         ]
 
-    def _scene_name(self, options: Mapping[str, Any]) -> str:
+    def _scene_name(self, options: Mapping[str, object]) -> str:
         from ..repm_qgis.names import dates_name
 
         return dates_name(options["before"], options["after"])
 
-    def _days(self, options: Mapping[str, Any], result: Mapping[str, Any]) -> list[str]:
+    def _days(self, options: Mapping[str, object], result: Mapping[str, object]) -> list[str]:
         from ..repm_qgis.names import surface_days
 
         return sorted({*surface_days(options["before"]), *surface_days(options["after"])})

@@ -5,14 +5,14 @@ from __future__ import annotations
 import glob
 import os
 import shutil
-from typing import Any, Iterator, Mapping
+from typing import Iterator, Mapping
 
 from ..repm_qgis.contracts.products import BUILT_FOLDER, FOLDER, SCENE, forms, kept_folder, tiles_folder
 
 _MARK = ".*.part*"  # repm_qgis/runtime/workspace.py: temporary_name
 
 
-def _patterns(options: Mapping[str, Any]) -> Iterator[str]:
+def _patterns(options: Mapping[str, object]) -> Iterator[str]:
     known = forms()
     for name, value in options.items():
         form = known.get(name)
@@ -35,7 +35,7 @@ def _beside(path: str, stem: str) -> str:
     return os.path.join(glob.escape(os.path.dirname(path)), f".{glob.escape(stem)}.part*")
 
 
-def remove_half_written(options: Mapping[str, Any], since: float) -> list[str]:
+def remove_half_written(options: Mapping[str, object], since: float) -> list[str]:
     """Remove temporary files of a stage with these options that changed after ``since`` (seconds since 1970).
 
     Gives the files removed. Only the engine's own temporary names are touched, and only where this stage writes.

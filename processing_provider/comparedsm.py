@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Mapping
 
 from qgis.core import (
     QgsProcessing,
@@ -11,13 +10,14 @@ from qgis.core import (
     QgsProcessingParameterString,
 )
 
+from ..repm_qgis.contracts.documents import JsonMapping, JsonObject
 from ..repm_qgis.contracts.file_kinds import is_cloud
 from ..repm_qgis.contracts.options import CompareDsmOptions
 from . import parameters
 from .base import RepmAlgorithm
 
 
-def thresholds(text: str) -> Any:
+def thresholds(text: str) -> object:
     """Numbers between commas, semicolons or spaces; anything else stays as it is, for the engine to refuse."""
     try:
         return [float(word) for word in re.split(r"[\s,;]+", text.strip()) if word]
@@ -122,10 +122,10 @@ class CompareDsm(RepmAlgorithm):
             )
         ]
 
-    def runs_apart(self, options: Mapping[str, Any]) -> bool:
+    def runs_apart(self, options: JsonMapping) -> bool:
         """Points need packages that QGIS's own Python may lack."""
         surfaces = (options["dsm"], options["reference"], *options["others"])
         return super().runs_apart(options) or options["align"] == "icp" or any(map(is_cloud, surfaces))
 
-    def complete(self, options: dict[str, Any]) -> dict[str, Any]:
+    def complete(self, options: JsonObject) -> JsonObject:
         return {**options, "thresholds": thresholds(options["thresholds"])}

@@ -17,11 +17,12 @@ import threading
 import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Callable, Iterator, Mapping, Optional, TypeVar
+from typing import IO, Any, Callable, Iterator, Optional, TypeVar, cast
 
 from qgis.core import QgsApplication, QgsProcessingException, QgsProcessingFeedback, QgsProjUtils
 from qgis.PyQt.QtCore import QCoreApplication, QProcess, QProcessEnvironment
 
+from ..repm_qgis.contracts.documents import JsonMapping, JsonObject
 from ..repm_qgis.installer.environments import usable, user_home
 from ..repm_qgis.installer.interpreter import candidates, is_program, program_in, variables
 from ..repm_qgis.installer.pip import without_password
@@ -135,7 +136,7 @@ def in_python_thread(call: Callable[[], _Result]) -> _Result:
     return made[0]
 
 
-def run_here(stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
+def run_here(stage: str, options: JsonMapping, feedback: QgsProcessingFeedback) -> JsonObject:
     """Run a light stage in QGIS's process. Expected failures become QgsProcessingException with one sentence."""
     from ..repm_qgis.contracts.errors import RepmError
     from ..repm_qgis.runtime.process_limits import one_thread_for_loaded_sums
@@ -159,8 +160,8 @@ def run_here(stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeed
 
 
 def run_apart(
-    stage: str, options: Mapping[str, Any], feedback: QgsProcessingFeedback, python: Optional[str] = None
-) -> dict[str, Any]:
+    stage: str, options: JsonMapping, feedback: QgsProcessingFeedback, python: Optional[str] = None
+) -> JsonObject:
     """Run a heavy stage in a process of its own and give its result; raises QgsProcessingException."""
     python = python or find_python()
     start = time.time()
@@ -278,7 +279,7 @@ class _EngineProcess:
         self._lines: queue.Queue[Optional[str]] = queue.Queue()
         self._last_words: collections.deque[str] = collections.deque(maxlen=50)
         # "-m" looks for modules in the working folder first: that must be ours, and no folder that others write to.
-        apart: dict[str, Any] = {"creationflags": 0x00000200 | 0x08000000} if _WINDOWS else {"start_new_session": True}
+        apart: JsonObject = {"creationflags": 0x00000200 | 0x08000000} if _WINDOWS else {"start_new_session": True}
         try:
             # Before Qt 6, QProcess makes no session.
             self._process = subprocess.Popen(  # nosec B603 # no shell, and an argument list of our own
@@ -297,14 +298,14 @@ class _EngineProcess:
             ) from None
         self._tell(job)
         self._readers = [
-            self._read(self._process.stdout, self._lines.put, at_end=True),
-            self._read(self._process.stderr, self._last_words.append),
+            self._read(cast(IO[bytes], self._process.stdout), self._lines.put, at_end=True),
+            self._read(cast(IO[bytes], self._process.stderr), self._last_words.append),
         ]
 
     def _tell(self, line: str) -> None:
         """Give the process its job, or a later line, and leave the pipe open: its closing means that QGIS is gone."""
 
-        pipe: Any = self._process.stdin
+        pipe = cast(IO[bytes], self._process.stdin)
 
         def write() -> None:
             with suppress(OSError, ValueError):  # it has ended, and its output gives the reason
@@ -313,7 +314,7 @@ class _EngineProcess:
 
         threading.Thread(target=write, daemon=True).start()  # a pipe holds 64 KiB
 
-    def _read(self, stream: Any, keep: Callable[[Any], None], at_end: bool = False) -> threading.Thread:
+    def _read(self, stream: IO[bytes], keep: Callable[[Any], None], at_end: bool = False) -> threading.Thread:
         def read() -> None:
             with stream:
                 for line in stream:
@@ -325,10 +326,10 @@ class _EngineProcess:
         thread.start()
         return thread
 
-    def result(self, feedback: QgsProcessingFeedback) -> dict[str, Any]:
+    def result(self, feedback: QgsProcessingFeedback) -> JsonObject:
         """Pass progress on until the process ends; its result, or QgsProcessingException."""
         progress = FeedbackProgress(feedback)
-        last: dict[str, Any] = {}
+        last: JsonObject = {}
         try:
             while True:
                 if is_cancelled(feedback):
@@ -349,7 +350,7 @@ class _EngineProcess:
             feedback.pushDebugInfo(text)
         return self._outcome(last, code)
 
-    def _hear(self, line: str, progress: FeedbackProgress, feedback: QgsProcessingFeedback) -> Optional[dict[str, Any]]:
+    def _hear(self, line: str, progress: FeedbackProgress, feedback: QgsProcessingFeedback) -> Optional[JsonObject]:
         """Act on one line; the closing messages are given back."""
         try:
             message = json.loads(line)
@@ -376,7 +377,7 @@ class _EngineProcess:
                 if is_cancelled(feedback):
                     raise _failure("Cancelled by the user.") from None
 
-    def _outcome(self, last: dict[str, Any], code: int) -> dict[str, Any]:
+    def _outcome(self, last: JsonObject, code: int) -> JsonObject:
         kind = last.get("type")
         if kind == "result" and code == 0 and isinstance(last.get("result"), dict):
             return last["result"]

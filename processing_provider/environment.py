@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Mapping
+from typing import Mapping
 
 from qgis.core import Qgis, QgsProcessingException, QgsProcessingFeedback, QgsProcessingParameterFile
 
@@ -58,17 +58,17 @@ class Environment(RepmAlgorithm):
             parameters.product(self.ID, "report"),
         ]
 
-    def complete(self, options: dict[str, Any]) -> dict[str, Any]:
+    def complete(self, options: dict[str, object]) -> dict[str, object]:
         return {**options, "wheels": options.get("wheels") or ""}
 
-    def run_stage(self, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
+    def run_stage(self, options: Mapping[str, object], feedback: QgsProcessingFeedback) -> dict[str, object]:
         """In the engine's interpreter, which is the one that matters; in QGIS's where that one does not run."""
         feedback.pushInfo(self.tr("QGIS {version}").format(version=Qgis.version()))
         with engine.sigterm_cancels(feedback):
             installation.run(options, feedback)
             return self._report(options, feedback)
 
-    def _report(self, options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> dict[str, Any]:
+    def _report(self, options: Mapping[str, object], feedback: QgsProcessingFeedback) -> dict[str, object]:
         options = {"report": options.get("report")}
         try:
             return engine.run_apart(self.ID, options, feedback)

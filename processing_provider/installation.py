@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import functools
 import importlib.util
-from typing import Any, Mapping
 from urllib.parse import quote
 
 from qgis.core import QgsNetworkAccessManager, QgsProcessingException, QgsProcessingFeedback
 from qgis.PyQt.QtNetwork import QNetworkProxy
 
+from ..repm_qgis.contracts.documents import JsonMapping
 from ..repm_qgis.contracts.errors import RepmError
 from ..repm_qgis.installer import environments
 from ..repm_qgis.installer.install import log_of, planned
@@ -94,7 +94,7 @@ def remove(feedback: QgsProcessingFeedback) -> None:
         feedback.pushInfo(f"No environment of the engine is left in '{engine.homes()[0]}'.")
 
 
-def run(options: Mapping[str, Any], feedback: QgsProcessingFeedback) -> None:
+def run(options: JsonMapping, feedback: QgsProcessingFeedback) -> None:
     """Do what the options INSTALL, REMOVE and WHEELS of repm:environment request."""
     if options.get("remove"):
         remove(feedback)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import os
 from contextlib import contextmanager
-from typing import Any, Iterator, Mapping, Optional
+from typing import Iterator, Mapping, Optional
 
 from qgis.core import (
     QgsProcessing,
@@ -37,8 +37,8 @@ def is_lasting(path: str) -> bool:
 
 @contextmanager
 def in_workspace(
-    algorithm: QgsProcessingAlgorithm, parameters: Mapping[str, Any], context: QgsProcessingContext
-) -> Iterator[dict[str, Any]]:
+    algorithm: QgsProcessingAlgorithm, parameters: Mapping[str, object], context: QgsProcessingContext
+) -> Iterator[dict[str, object]]:
     """The parameters, with temporary products in the workspace where the user has named one: ``dsm.tif``, or
     ``dsm_2.tif`` where the first is taken, so that nothing is replaced that an earlier run has made."""
     places: dict[str, str] = {}
@@ -57,7 +57,9 @@ def in_workspace(
         _promised.difference_update(places.values())
 
 
-def _workspace(algorithm: QgsProcessingAlgorithm, parameters: Mapping[str, Any], context: QgsProcessingContext) -> str:
+def _workspace(
+    algorithm: QgsProcessingAlgorithm, parameters: Mapping[str, object], context: QgsProcessingContext
+) -> str:
     """The user's own folder in which a stage works, its scene's too; "" where it works in temporary ones."""
     for name in ("WORKSPACE", "OUTPUT_SCENE", "SCENE") if algorithm.name() in _AFTER_RUN else ():
         if algorithm.parameterDefinition(name) is not None:
@@ -96,9 +98,9 @@ def _is_temporary(value: object) -> bool:
     return (sink.staticValue() if sink is not None else value) == QgsProcessing.TEMPORARY_OUTPUT
 
 
-def _at(path: str, value: Any) -> Any:
+def _at(path: str, value: object) -> object:
     """The value with another place; whether QGIS loads the layer, and where, stays."""
-    if _sink(value) is None:
+    if not isinstance(value, QgsProcessingOutputLayerDefinition):
         return path
     moved = QgsProcessingOutputLayerDefinition(path, value.destinationProject)
     moved.destinationName, moved.createOptions = value.destinationName, value.createOptions

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any, Mapping
-
 from qgis.core import (
     QgsProcessing,
     QgsProcessingOutputNumber,
@@ -11,6 +9,7 @@ from qgis.core import (
     QgsProcessingParameterMultipleLayers,
 )
 
+from ..repm_qgis.contracts.documents import JsonMapping
 from ..repm_qgis.contracts.options import MosaicOptions
 from . import parameters
 from .base import RepmAlgorithm
@@ -77,7 +76,7 @@ class Mosaic(RepmAlgorithm):
             *(parameters.product(self.ID, name) for name in ("output", "sources", "report")),
         ]
 
-    def _scene_name(self, options: Mapping[str, Any]) -> str:
+    def _scene_name(self, options: JsonMapping) -> str:
         from ..repm_qgis.names import mosaic_name
 
         return mosaic_name(options["output"] or "", [*options["dsms"], *options["scenes"]])

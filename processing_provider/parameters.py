@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Optional
+from typing import Optional
 
 from qgis.core import (
     QgsProcessing,
@@ -106,7 +106,7 @@ class Images(QgsProcessingParameterMultipleLayers):
     damaged one names no file. The engine checks them better.
     """
 
-    def checkValueIsAcceptable(self, input: Any, context: Any = None) -> bool:  # noqa: A002 - QGIS's name
+    def checkValueIsAcceptable(self, input: object, context: object = None) -> bool:  # noqa: A002 - QGIS's name
         named = [input] if isinstance(input, str) else input if isinstance(input, list) else []
         # One folder may hold many images: the engine counts them.
         several = any(isinstance(path, str) and is_delivery(path) for path in named)
@@ -136,7 +136,7 @@ class Images(QgsProcessingParameterMultipleLayers):
 class Raster(QgsProcessingParameterRasterLayer):
     """A raster that QGIS does not open to check it, as :class:`Images`: it would write statistics beside it."""
 
-    def checkValueIsAcceptable(self, input: Any, context: Any = None) -> bool:  # noqa: A002 - QGIS's name
+    def checkValueIsAcceptable(self, input: object, context: object = None) -> bool:  # noqa: A002 - QGIS's name
         return super().checkValueIsAcceptable(input)
 
     def clone(self) -> Raster:
@@ -146,7 +146,7 @@ class Raster(QgsProcessingParameterRasterLayer):
 class Rasters(QgsProcessingParameterMultipleLayers):
     """Several of :class:`Raster`."""
 
-    def checkValueIsAcceptable(self, input: Any, context: Any = None) -> bool:  # noqa: A002 - QGIS's name
+    def checkValueIsAcceptable(self, input: object, context: object = None) -> bool:  # noqa: A002 - QGIS's name
         return super().checkValueIsAcceptable(input)
 
     def clone(self) -> Rasters:
@@ -159,7 +159,7 @@ class TiledRaster(QgsProcessingParameterRasterDestination):
     def supportedOutputRasterLayerExtensions(self) -> list[str]:
         return [*super().supportedOutputRasterLayerExtensions(), "vrt"]
 
-    def isSupportedOutputValue(self, value: Any, context: QgsProcessingContext) -> tuple[bool, str]:
+    def isSupportedOutputValue(self, value: object, context: QgsProcessingContext) -> tuple[bool, str]:
         path = QgsProcessingParameters.parameterAsOutputLayer(self, value, context)
         return (True, "") if tiles_folder(path) else super().isSupportedOutputValue(value, context)
 
@@ -170,7 +170,7 @@ class TiledRaster(QgsProcessingParameterRasterDestination):
 class Layer(QgsProcessingParameterMapLayer):
     """A raster or a vector layer that QGIS does not open to check it."""
 
-    def checkValueIsAcceptable(self, input: Any, context: Any = None) -> bool:  # noqa: A002 - QGIS's name
+    def checkValueIsAcceptable(self, input: object, context: object = None) -> bool:  # noqa: A002 - QGIS's name
         return super().checkValueIsAcceptable(input)
 
     def clone(self) -> Layer:
@@ -187,7 +187,7 @@ class Points(QgsProcessingParameterVectorLayer):
     """A point layer or a table's file that QGIS does not open to check it: the engine reads both, and reports their
     errors."""
 
-    def checkValueIsAcceptable(self, input: Any, context: Any = None) -> bool:  # noqa: A002 - QGIS's name
+    def checkValueIsAcceptable(self, input: object, context: object = None) -> bool:  # noqa: A002 - QGIS's name
         return super().checkValueIsAcceptable(input)
 
     def clone(self) -> Points:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Mapping
+from typing import Mapping
 
 from qgis.core import QgsProcessingOutputFile, QgsProcessingOutputNumber
 
@@ -70,11 +70,11 @@ class Pipeline(RepmAlgorithm):
             QgsProcessingOutputNumber("VALID_PERCENT", self.tr("Cells with a height (%)")),
         ]
 
-    def left_to_engine(self, parameters: Mapping[str, Any]) -> set[str]:
+    def left_to_engine(self, parameters: Mapping[str, object]) -> set[str]:
         """The parameters that the preset decides: QGIS's default of a parameter that was not given must not override
         it."""
         preset = PRESETS.get(str(parameters.get("PRESET")), {})
         return {name for name in preset if name.upper() not in parameters}
 
-    def complete(self, options: dict[str, Any]) -> dict[str, Any]:
+    def complete(self, options: dict[str, object]) -> dict[str, object]:
         return {**options, "command": command_line(self.id(), options)}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from typing import Any, Mapping
 
 from qgis.core import (
     QgsProcessingContext,
@@ -15,6 +14,7 @@ from qgis.core import (
 )
 from qgis.PyQt.QtCore import QUrl, QUrlQuery
 
+from ..repm_qgis.contracts.documents import JsonMapping, JsonObject
 from ..repm_qgis.contracts.options import SampleDataOptions
 from . import parameters, styles
 from .base import RepmAlgorithm
@@ -64,14 +64,14 @@ class SampleData(RepmAlgorithm):
         ]
 
     def processAlgorithm(
-        self, parameters: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
-    ) -> dict[str, Any]:
+        self, parameters: JsonMapping, context: QgsProcessingContext, feedback: QgsProcessingFeedback
+    ) -> JsonObject:
         made = super().processAlgorithm(parameters, context, feedback)
         if context.project() is not None:
             self._load(made, context, feedback)
         return made
 
-    def _load(self, made: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> None:
+    def _load(self, made: JsonMapping, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> None:
         """Have the scene loaded as a group: QGIS knows the folder as the only result, and loads no folder."""
         from ..repm_qgis.names import folder_name
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from typing import Any, Mapping
 
 from qgis.core import (
     QgsProcessing,
@@ -16,6 +15,7 @@ from qgis.core import (
     QgsProcessingUtils,
 )
 
+from ..repm_qgis.contracts.documents import JsonMapping, JsonObject
 from ..repm_qgis.contracts.options import SeriesOptions
 from . import parameters, styles
 from .base import RepmAlgorithm
@@ -112,12 +112,12 @@ class Series(RepmAlgorithm):
             ),
         ]
 
-    def complete(self, options: dict[str, Any]) -> dict[str, Any]:
+    def complete(self, options: JsonObject) -> JsonObject:
         return {**options, "dates": dates(options["dates"])}
 
     def processAlgorithm(
-        self, parameters: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
-    ) -> dict[str, Any]:
+        self, parameters: JsonMapping, context: QgsProcessingContext, feedback: QgsProcessingFeedback
+    ) -> JsonObject:
         made = super().processAlgorithm(parameters, context, feedback)
         if context.project() is not None and made.get("MAPS"):
             self._load(made["MAPS"], context)
@@ -131,11 +131,11 @@ class Series(RepmAlgorithm):
             name = run.name(self.tr("Heights"), os.path.basename(stem))
             styles.load_too(context, path, QgsProcessingUtils.LayerHint.Raster, name, "dated", run, f"{stem}.qml")
 
-    def _scene_name(self, options: Mapping[str, Any]) -> str:
+    def _scene_name(self, options: JsonMapping) -> str:
         from ..repm_qgis.names import dates_name
 
         return dates_name(*options["dsms"])
 
-    def _days(self, options: Mapping[str, Any], result: Mapping[str, Any]) -> list[str]:
+    def _days(self, options: JsonMapping, result: JsonMapping) -> list[str]:
         self._taken = [label.split(" ")[0] for label in result["dates"]]
         return self._taken

@@ -118,7 +118,7 @@ def cluster() -> str:
     return str(_value(CLUSTER) or "").strip()
 
 
-def of_parameter(name: str) -> Any:
+def of_parameter(name: str) -> object:
     """The settings' value of a parameter that dialogs leave to them; the option's default where they have none."""
     if name == "CLUSTER":
         return cluster()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import subprocess  # nosec B404 # for its quoting alone
-from typing import Any, Mapping, Optional
+from typing import Optional, Union
 
 from qgis.core import (
     QgsCoordinateReferenceSystem,
@@ -24,6 +24,7 @@ from qgis.core import (
 )
 from qgis.PyQt.QtCore import QUrl, QUrlQuery, QVariant
 
+from ..repm_qgis.contracts.documents import JsonMapping, JsonObject
 from .language import said
 
 
@@ -39,7 +40,7 @@ def layer_path(layer: QgsMapLayer) -> str:
     return layer.source() if subdataset else path
 
 
-def raster_items(value: object, context: QgsProcessingContext) -> list[Any]:
+def raster_items(value: object, context: QgsProcessingContext) -> list[Union[QgsMapLayer, str]]:
     """A raster parameter's value as a list of QgsMapLayer, and str for files that are no layer of the project."""
     if isinstance(value, QgsProperty):
         value = value.valueAsString(context.expressionContext())[0]
@@ -146,8 +147,8 @@ def crs_text(crs: QgsCoordinateReferenceSystem) -> Optional[str]:
 
 
 def _extent(
-    algorithm: QgsProcessingAlgorithm, name: str, parameters: Mapping[str, Any], context: QgsProcessingContext
-) -> dict[str, Any]:
+    algorithm: QgsProcessingAlgorithm, name: str, parameters: JsonMapping, context: QgsProcessingContext
+) -> JsonObject:
     if is_empty(parameters.get(name)):
         return {name.lower(): None}
     box = algorithm.parameterAsExtent(parameters, name, context)
@@ -159,9 +160,9 @@ def _extent(
 def input_options(
     algorithm: QgsProcessingAlgorithm,
     definition: QgsProcessingParameterDefinition,
-    parameters: Mapping[str, Any],
+    parameters: JsonMapping,
     context: QgsProcessingContext,
-) -> dict[str, Any]:
+) -> JsonObject:
     """One input parameter as engine options: the parameter's name in lower case, and its value.
 
     Reads the project through the context: main thread only.
@@ -171,7 +172,7 @@ def input_options(
     if kind == "extent":
         return _extent(algorithm, name, parameters, context)
     if kind == "multilayer":
-        value: Any = _paths(definition, given, context)
+        value: object = _paths(definition, given, context)
     elif kind == "layer":
         value = next(iter(any_paths(given, context)), None)
     elif kind == "raster":
@@ -199,9 +200,9 @@ def input_options(
 def checked_value(
     algorithm: QgsProcessingAlgorithm,
     definition: QgsProcessingParameterDefinition,
-    parameters: Mapping[str, Any],
+    parameters: JsonMapping,
     context: QgsProcessingContext,
-) -> Any:
+) -> object:
     """One parameter as the engine's checks take it: nothing is read or written, and a layer only counts as given."""
     name, kind = definition.name(), definition.type()
     given = parameters.get(name, definition.defaultValue())
@@ -227,9 +228,9 @@ def checked_value(
 def _number(
     algorithm: QgsProcessingAlgorithm,
     definition: QgsProcessingParameterDefinition,
-    parameters: Mapping[str, Any],
+    parameters: JsonMapping,
     context: QgsProcessingContext,
-) -> Any:
+) -> object:
     """A number; other values stay as they are, for the engine to refuse."""
     given = parameters.get(definition.name(), definition.defaultValue())
     if isinstance(given, QgsProperty):
@@ -245,7 +246,7 @@ def _number(
 def destination(
     algorithm: QgsProcessingAlgorithm,
     definition: QgsProcessingParameterDefinition,
-    parameters: Mapping[str, Any],
+    parameters: JsonMapping,
     context: QgsProcessingContext,
 ) -> str:
     """Where an output goes, as QGIS keeps it; "" for an output that is not wanted."""
@@ -254,7 +255,7 @@ def destination(
     return algorithm.parameterAsFileOutput(parameters, definition.name(), context) or ""
 
 
-def command_line(algorithm_id: str, options: Mapping[str, Any]) -> str:
+def command_line(algorithm_id: str, options: JsonMapping) -> str:
     """The ``qgis_process`` command that repeats a run with these engine options, as this system's shell reads it."""
     words = []
     for name, value in options.items():

@@ -14,10 +14,11 @@ import os
 import re
 import shutil
 import sys
-from typing import Any, Dict, List, Mapping, Optional, Sequence, TextIO, Type, get_args, get_origin
+from typing import Any, List, Optional, Sequence, TextIO, Type, get_args, get_origin
 
 from . import __version__
 from .contracts.checks import Choice, Number, types_of
+from .contracts.documents import JsonMapping, JsonObject, Keywords
 from .contracts.options import Options, PipelineOptions
 from .contracts.products import PRODUCTS
 from .engine_process import own_output, read_job, serve
@@ -34,7 +35,7 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     stage, path, as_json = given.pop("stage"), given.pop("job"), given.pop("json")
     lines = JsonLines(own_output()) if as_json else Terminal(own_output(), sys.stderr)
 
-    def asked() -> tuple[str, Dict[str, Any]]:
+    def asked() -> tuple[str, JsonObject]:
         return stage, {**(read_job(path) if path else {}), **given}
 
     return serve(lines, lambda cancelling: asked)
@@ -55,7 +56,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-_UNSET: Dict[str, Any] = {"default": argparse.SUPPRESS}
+_UNSET: Keywords = {"default": argparse.SUPPRESS}
 """Options that are not given are not in the job: their defaults, or those of a preset, are the engine's."""
 
 
@@ -75,7 +76,7 @@ def _add(parser: argparse.ArgumentParser, stage: str, options: Type[Options], na
         parser.add_argument(flag, type=kind, metavar=_metavar(kind), **about)
 
 
-def _metavar(kind: Any) -> str:
+def _metavar(kind: type) -> str:
     return {str: "TEXT", int: "NUMBER", float: "NUMBER"}[kind]
 
 
@@ -169,7 +170,7 @@ class Terminal(JsonLines):
             self._shown = 0
 
 
-def result_lines(result: Mapping[str, Any]) -> List[str]:
+def result_lines(result: JsonMapping) -> List[str]:
     """A stage's results for a person, ``name: value``: files and figures; lists and tables stay in reports."""
     shown: List[str] = []
     for name, value in result.items():

@@ -22,8 +22,9 @@ import sys
 import threading
 import time
 import traceback
-from typing import Any, Callable, Dict, TextIO, Tuple
+from typing import Callable, TextIO, Tuple
 
+from .contracts.documents import JsonObject
 from .contracts.errors import INSTALL_REMEDY, Cancelled, MissingPackageError, OptionError, RepmError
 from .runtime.parallel import end_workers
 from .runtime.process_limits import bound_cache, keep_freed_memory, one_thread_for_sums
@@ -36,11 +37,11 @@ from .runtime.workspace import name_nothing_more, remove_own_temporaries
 
 _GRACE_S = 1.2  # from SIGTERM to SIGKILL where nobody else does it
 _CANCELLING = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGBREAK") if hasattr(signal, name)]
-Asked = Callable[[], Tuple[str, Dict[str, Any]]]
+Asked = Callable[[], Tuple[str, JsonObject]]
 """A function that gives the stage's name and its job; raises OptionError."""
 
 
-def read_job(path: str, line: bytes = b"") -> Dict[str, Any]:
+def read_job(path: str, line: bytes = b"") -> JsonObject:
     """The options in a file, or in a line where ``path`` is "-"; raises OptionError."""
     try:
         if (len(line) if path == "-" else os.path.getsize(path)) > MAX_JOB_BYTES:
@@ -80,7 +81,7 @@ class Cancelling:
             signal.signal(number, self._on_signal)
 
     @staticmethod
-    def _print_lost(lost: Any) -> None:
+    def _print_lost(lost: "sys.UnraisableHookArgs") -> None:
         """Print an exception that was lost, for example in a destructor; a cancel is not printed, because the thread
         handles it."""
         if not isinstance(lost.exc_value, Cancelled):
@@ -153,13 +154,13 @@ class _Parent(Beginning):
         os._exit(1)
 
 
-def _asked_for(arguments: list[str], line: bytes) -> Tuple[str, Dict[str, Any]]:
+def _asked_for(arguments: list[str], line: bytes) -> Tuple[str, JsonObject]:
     if len(arguments) != 2:
         raise OptionError("arguments", " ".join(arguments), "must be a STAGE and a JOB.json")
     return arguments[0], read_job(arguments[1], line)
 
 
-def _run(asked: Asked, lines: JsonLines) -> Dict[str, Any]:
+def _run(asked: Asked, lines: JsonLines) -> JsonObject:
     one_thread_for_sums()
     keep_freed_memory()
     from .stages import run_stage

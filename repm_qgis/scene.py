@@ -14,13 +14,14 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Annotated, Callable, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
 from . import __version__
 from .contracts.arrays import FloatArray, Size, Window
 from .contracts.checks import Choice, Misfit, Number, file_name, mapping, member, shown, typed
+from .contracts.documents import JsonMapping, JsonObject
 from .contracts.errors import ImageError, OptionError, RpcInvalidError, SceneError, SceneVersionError
 from .contracts.options import BACKENDS, MODELS, PRESETS
 from .contracts.records import (
@@ -217,7 +218,7 @@ class TileView(Record):
     image: Optional[OwnFilePath] = None
 
     @classmethod
-    def read(cls, values: Mapping[str, Any], terrain: Callable[[], Optional[Terrain]]) -> "TileView":
+    def read(cls, values: JsonMapping, terrain: Callable[[], Optional[Terrain]]) -> "TileView":
         """From JSON; ``terrain`` gives what a terrain-aware refinement needs."""
         refined = values.get("refined")
         if isinstance(refined, Mapping):
@@ -237,7 +238,7 @@ class Tile(Record):
     heights: Tuple[HeightMapRecord, ...] = ()
 
     @classmethod
-    def read(cls, values: Mapping[str, Any], terrain: Callable[[str], Optional[Terrain]]) -> "Tile":
+    def read(cls, values: JsonMapping, terrain: Callable[[str], Optional[Terrain]]) -> "Tile":
         """From JSON; ``terrain`` gives what a view's terrain-aware refinement needs."""
         views = {}
         for name, view in mapping(mapping(values).get("views")).items():
@@ -435,10 +436,10 @@ class Scene(Record):
         self,
         stage: str,
         key: str,
-        options: Mapping[str, Any],
+        options: JsonMapping,
         seconds: float,
         warnings: Sequence[str] = (),
-        parameters: Optional[Dict[str, Any]] = None,
+        parameters: Optional[JsonObject] = None,
     ) -> "Scene":
         """The scene with a finished stage in its history, where it replaces an earlier record of the same stage."""
         record = StageRecord(
@@ -478,7 +479,7 @@ class Scene(Record):
             scene = with_files(cls.from_mapping({**document, "tiles": [], "path": Path(path)}), find)
             tiles = []
             with member("tiles"):
-                for number, values in enumerate(typed(Tuple[Any, ...], document.get("tiles"))):
+                for number, values in enumerate(typed(Tuple[object, ...], document.get("tiles"))):
                     # Stored refinements belong to the vendors' RPCs; pointing came later.
                     with member(number):
                         tile = Tile.read(values, lambda name: scene.terrain(scene.view(name).model))
@@ -516,7 +517,7 @@ def _found(folder: str, before: str, path: str) -> str:
     return moved if os.path.exists(moved) else path
 
 
-def _document(path: str) -> Dict[str, Any]:
+def _document(path: str) -> JsonObject:
     """The JSON object of a scene file, with format and schema checked."""
     try:
         if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
@@ -604,7 +605,7 @@ def ground_of(path: str) -> Optional[GroundSeen]:
     """The :class:`GroundSeen` of a scene's images, from its views only, which is fast; None where the file is no
     scene."""
     try:
-        entries = typed(Tuple[Any, ...], _document(path).get("views"))
+        entries = typed(Tuple[object, ...], _document(path).get("views"))
         views = [View.from_mapping(mapping(entry)) for entry in entries]
         return GroundSeen.of(views) if views else None
     except (SceneError, Misfit, RpcInvalidError, IndexError):

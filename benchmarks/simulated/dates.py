@@ -211,7 +211,7 @@ def exposed(
 
 def make_dated_scene(
     spec: DatedSpec, folder: str, progress: Progress, parameters: DatedParameters = DATED
-) -> Dict[str, Any]:
+) -> Dict[str, object]:
     """Simulate a scene of many dates with ``parameters.effects`` and write it into a folder.
 
     Returns ``images`` (paths, in the order of the acquisitions), ``truth`` and ``classes`` (paths). Raises

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import List, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage, stats
 
 from repm_qgis.contracts.arrays import FloatImage, Mask
@@ -185,7 +185,7 @@ class District(Town):
     def _roof_of(self, material: int) -> None:
         self._roof = material
 
-    def _put(self, area: Area, inside: Mask, height: FloatImage, tone: FloatImage) -> None:
+    def _put(self, area: Area, inside: Mask, height: ArrayLike, tone: ArrayLike) -> None:
         """A building's roof with stains and seams: its material and class besides."""
         rows, cols = np.indices(inside.shape) * self._ground.cell
         seams = (np.mod(rows, 11.0) < 0.2) | (np.mod(cols, 7.3) < 0.2)

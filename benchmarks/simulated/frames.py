@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
 
@@ -88,7 +88,7 @@ def make_frames(
     folder: str,
     progress: Progress,
     parameters: SimulationParameters = SIMULATION,
-) -> Dict[str, Any]:
+) -> Dict[str, object]:
     """Simulate a scene of these exposures and write it into a folder; ``spec`` gives its ground, place and truth.
 
     Returns ``images`` (paths), ``truth`` (path) and ``biases``, (images, 2) px by which the RPCs are wrong. Raises

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from typing import Any, Dict, List
+from typing import Dict, List
 
 
 def main(arguments: List[str]) -> None:
@@ -26,7 +26,7 @@ def main(arguments: List[str]) -> None:
         fuse(job["workspace"], options.geom_consistency, job["fusion"])
 
 
-def fuse(workspace: str, geometric: bool, values: Dict[str, Any]) -> None:
+def fuse(workspace: str, geometric: bool, values: Dict[str, object]) -> None:
     """Fuse a workspace's depth maps by COLMAP, on the CPU: (N, 3) points of its frame into ``fused.npy``."""
     import numpy as np
     import pycolmap

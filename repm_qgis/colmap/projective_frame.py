@@ -146,7 +146,7 @@ def tile_frame(
     stereo: StereoParameters = STEREO,
 ) -> Optional[TileFrame]:
     """The frame and the views of a ground rectangle with a margin; None where fewer than two of the views see it."""
-    wide = bounds.grown(stereo.tile_margin_px * scene.gsd_m)
+    wide = Bounds(*bounds).grown(stereo.tile_margin_px * scene.gsd_m)
     refined = {name: refined_view(scene, scene.view(name), wide, altitudes) for name in names}
     seen = {name: found for name, found in refined.items() if found is not None}
     if len(seen) < 2:

@@ -16,7 +16,7 @@ import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Optional, Sequence, TypeVar, Union
+from typing import Callable, Dict, List, Optional, Sequence, TypeVar, Union
 
 from ..contracts.errors import Cancelled, DeviceError
 from ..runtime.environment import Gpu
@@ -50,11 +50,11 @@ class PatchMatchOptions:
     fusion: bool = False
 
 
-Runner = Callable[[str, Dict[str, Any], Optional[Dict[str, Any]], threading.Event], None]
+Runner = Callable[[str, Dict[str, object], Optional[Dict[str, object]], threading.Event], None]
 """Runs patch match in a workspace with COLMAP's options, and fusion with its own; it ends when the event is set."""
 
 
-def fusion_options(parameters: PatchMatchParameters) -> Dict[str, Any]:
+def fusion_options(parameters: PatchMatchParameters) -> Dict[str, object]:
     """The options of COLMAP's fusion."""
     views, angle = parameters.fused_views, parameters.fused_normal_deg
     return {"min_num_pixels": views, "max_normal_error": angle, "num_threads": 1}
@@ -66,7 +66,7 @@ def colmap_options(
     sources: int,
     gpu: int,
     parameters: PatchMatchParameters = COLMAP.patch_match,
-) -> Dict[str, Any]:
+) -> Dict[str, object]:
     """COLMAP's options for a tile whose depths are known, with up to so many sources for each reference.
 
     Angles between rays are not checked: in the frame they are smaller than on Earth, and pairs were chosen by the true
@@ -99,7 +99,11 @@ def bytes_allowed(gpu: Gpu, chosen: PatchMatchOptions, parameters: PatchMatchPar
 
 
 def run_patch_match(
-    workspace: str, options: Dict[str, Any], fusion: Optional[Dict[str, Any]], stop: threading.Event, root: Path = ROOT
+    workspace: str,
+    options: Dict[str, object],
+    fusion: Optional[Dict[str, object]],
+    stop: threading.Event,
+    root: Path = ROOT,
 ) -> None:
     """Run patch match, and fusion if it has options, in a process of its own that finds the engine in ``root``.
 
@@ -171,7 +175,8 @@ def on_gpus(
 
     results: Dict[int, Union[R, DeviceError]] = {}
     with ThreadPoolExecutor(len(gpus)) as pool:
-        pending: Dict["Future[Any]", int] = {pool.submit(work, task): i for i, task in enumerate(tasks)}
+        pending: Dict["Future[Union[R, DeviceError]]", int] = {}
+        pending.update((pool.submit(work, task), number) for number, task in enumerate(tasks))
         try:
             progress.step(0.0, f"{len(tasks)} tiles on {len(gpus)} GPU(s)")
             for index, future in as_they_end(pending, progress):

@@ -9,13 +9,12 @@ from __future__ import annotations
 import os
 import threading
 from dataclasses import dataclass
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple, Union
+from typing import Dict, List, Mapping, Optional, Sequence, Tuple, Union
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from ..contracts.arrays import Altitudes, Bounds, FloatArray, FloatImage, Mask
+from ..contracts.arrays import Altitudes, AnyArray, Bounds, FloatArray, FloatImage, Mask
 from ..contracts.errors import DeviceError, EmptyResultError, ImageError
 from ..contracts.records import HeightMapRecord
 from ..imagery.correlation import window_statistics
@@ -265,7 +264,7 @@ def _score(
 
 
 def transferred(
-    reference: FrameView, source: FrameView, columns: NDArray[Any], rows: NDArray[Any], depth: FloatImage
+    reference: FrameView, source: FrameView, columns: AnyArray, rows: AnyArray, depth: FloatImage
 ) -> FloatArray:
     """(..., 2) pixels of a source that show what a reference shows at these pixels and depths."""
     rays = np.stack([columns, rows, np.ones(columns.shape)], axis=-1) @ np.linalg.inv(reference.camera.K).T

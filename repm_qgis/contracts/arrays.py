@@ -13,6 +13,8 @@ FloatImage = NDArray[np.float32]
 """Intensities, disparities and scores; NaN where there is none."""
 Floats = NDArray[np.floating[Any]]
 """Of single or double precision, which the result keeps."""
+AnyArray = NDArray[Any]
+"""Of any kind of numbers, which the result keeps."""
 IntArray = NDArray[np.int64]
 ByteImage = NDArray[np.uint8]
 Mask = NDArray[np.bool_]

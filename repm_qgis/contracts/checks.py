@@ -33,7 +33,11 @@ _ROOM = 15  # of these for what makes names distinct
 _DEEPEST = 50  # lists and objects within each other
 INLINE = ("<", "{", "[")
 """How XML and JSON begin, which GDAL takes in place of a file."""
-_types: Dict[Any, Dict[str, Any]] = {}
+Kind = Any
+"""A type, as an annotation has it."""
+Typed = Any
+"""A value of a type that only an annotation names."""
+_types: Dict[Kind, Dict[str, object]] = {}
 _words = Repr()
 _words.maxstring = _words.maxother = _words.maxlong = 60
 
@@ -61,7 +65,7 @@ def member(name: object) -> Iterator[None]:
         raise misfit.in_member(name) from None
 
 
-def mapping(value: Any) -> Mapping[str, Any]:
+def mapping(value: object) -> Mapping[str, object]:
     """The value, if it is a JSON object; raises Misfit."""
     if not isinstance(value, Mapping):
         raise Misfit("must be an object", shown(value))
@@ -220,21 +224,22 @@ def _text_problem(value: str) -> str:
         return "must be a text in UTF-8: rename the file"
 
 
-def types_of(cls: Any) -> Dict[str, Any]:
+def types_of(cls: Kind) -> Dict[str, object]:
     """The annotations of a class, with their checks."""
     if cls not in _types:  # reading annotations is slow
         _types[cls] = get_type_hints(cls, include_extras=True)
     return _types[cls]
 
 
-def typed(kind: Any, value: Any) -> Any:
+def typed(kind: Kind, value: object) -> Typed:
     """A value of JSON as a type has it: lists become arrays, tuples and named tuples, objects become records.
 
     Raises :class:`Misfit` where it does not fit, a check of the type included. Values that have the type already are
     kept.
     """
-    origin, arguments = get_origin(kind), get_args(kind)
-    if kind is Any:
+    origin: Kind = get_origin(kind)
+    arguments = get_args(kind)
+    if kind is object or kind is Any:
         return _shallow(value, _DEEPEST)
     if origin is Annotated:
         result, reason = typed(arguments[0], value), ""
@@ -264,7 +269,7 @@ def typed(kind: Any, value: Any) -> Any:
     raise Misfit(f"must be {name}", shown(value))
 
 
-def unfit(kind: Any, value: Any) -> str:
+def unfit(kind: Kind, value: object) -> str:
     """What a value of JSON must be to have a type, "" where it has it."""
     try:
         typed(kind, value)
@@ -274,25 +279,25 @@ def unfit(kind: Any, value: Any) -> str:
     return ""
 
 
-def _refuse_if(reason: str, value: Any, result: Any = None) -> Any:
+def _refuse_if(reason: str, value: object, result: Typed = None) -> Typed:
     if reason:
         raise Misfit(reason, shown(value))
     return result
 
 
-def _entry(kind: Any, value: Any, name: object) -> Any:
+def _entry(kind: Kind, value: object, name: object) -> Typed:
     with member(name):
         return typed(kind, value)
 
 
-def _tuple(kinds: Tuple[Any, ...], value: Any) -> Tuple[Any, ...]:
+def _tuple(kinds: Tuple[Kind, ...], value: Typed) -> Tuple[Typed, ...]:
     _refuse_if("" if isinstance(value, (list, tuple)) else "must be a list", value)
     wanted = [kinds[0]] * len(value) if kinds[-1] is Ellipsis else kinds
     _refuse_if("" if len(wanted) == len(value) else f"must have {len(wanted)} entries", value)
     return tuple(_entry(kind, entry, number) for number, (kind, entry) in enumerate(zip(wanted, value)))
 
 
-def _array(value: Any) -> Any:
+def _array(value: object) -> Typed:
     import numpy as np  # options need no numpy, and QGIS loads the options only
 
     try:
@@ -303,11 +308,11 @@ def _array(value: Any) -> Any:
     return _refuse_if("" if np.isfinite(array).all() else "must be finite", value, array.astype(np.float64))
 
 
-def _not_finite(value: Any) -> str:
+def _not_finite(value: object) -> str:
     return "must be finite" if isinstance(value, float) and not math.isfinite(value) else ""
 
 
-def _shallow(value: Any, depth: int) -> Any:
+def _shallow(value: object, depth: int) -> Typed:
     """What no type describes, such as the options of a stage; it is limited in depth, so that code can walk through
     it."""
     _refuse_if("" if depth else f"must not be nested {_DEEPEST} deep", [])

@@ -10,9 +10,10 @@ import dataclasses
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Dict, List, Mapping, Optional, Tuple, Type, TypeVar
+from typing import Annotated, Any, ClassVar, Dict, List, Optional, Tuple, Type, TypeVar
 
 from .checks import Choice, Given, Number, Rectangle, Switch, types_of, unfit
+from .documents import JsonMapping, JsonObject, Keywords
 from .errors import OptionError
 from .file_kinds import is_cloud, is_delivery, is_ply, is_textured
 from .paths import real_path
@@ -45,7 +46,7 @@ VIEWER_CELLS = 4_000_000
 SERIES_DATES = 250
 """Most DSMs of a series: the numbers of its dates are stored in a byte."""
 
-PRESETS: Dict[str, Dict[str, Any]] = {
+PRESETS: Dict[str, Keywords] = {
     "none": {},
     "city": {"model": "polynomial", "method": "mean", "fill": "occlusions"},
     "mountains": {"model": "polynomial", "method": "mean", "fill": "all"},
@@ -58,27 +59,31 @@ Extent = Annotated[Tuple[float, float, float, float], Rectangle()]
 T = TypeVar("T", bound="Options")
 
 
-def choice(default: str, choices: Tuple[str, ...]) -> Any:
+Default = Any
+"""What a field of a dataclass is set to, whatever its type: the checker takes it for a value of that type."""
+
+
+def choice(default: str, choices: Tuple[str, ...]) -> Default:
     return field(default=default, metadata={"check": Choice(choices)})
 
 
-def number(default: Optional[float], low: float, high: float, unit: str = "", automatic: bool = False) -> Any:
+def number(default: Optional[float], low: float, high: float, unit: str = "", automatic: bool = False) -> Default:
     return field(default=default, metadata={"check": Number(low, high, unit, False, automatic)})
 
 
-def whole(default: int, low: int, high: int, unit: str = "", automatic: bool = False) -> Any:
+def whole(default: int, low: int, high: int, unit: str = "", automatic: bool = False) -> Default:
     return field(default=default, metadata={"check": Number(low, high, unit, True, automatic)})
 
 
-def switch(default: bool) -> Any:
+def switch(default: bool) -> Default:
     return field(default=default, metadata={"check": Switch()})
 
 
-def given() -> Any:
+def given() -> Default:
     return field(metadata={"check": Given()})
 
 
-def read(*default: Any) -> Any:
+def read(*default: object) -> Default:
     """A file or files that a stage reads, by their paths; without a default they must be given."""
     return field(default=default[0], metadata=_READ) if default else field(metadata={"check": Given(), **_READ})
 
@@ -116,12 +121,12 @@ class Options(metaclass=_ByName):
         return [each.name for each in dataclasses.fields(cls)]
 
     @classmethod
-    def option(cls, name: str) -> "dataclasses.Field[Any]":
+    def option(cls, name: str) -> "dataclasses.Field[object]":
         """The declaration of one option: its default, and its check in ``metadata``."""
         return next(each for each in dataclasses.fields(cls) if each.name == name)
 
     @classmethod
-    def from_json(cls: Type[T], values: Mapping[str, Any]) -> T:
+    def from_json(cls: Type[T], values: JsonMapping) -> T:
         """Build from a JSON object; an unknown name is an error, lists become tuples. Raises OptionError."""
         for name in values:
             if name not in cls.names():
@@ -130,7 +135,7 @@ class Options(metaclass=_ByName):
         return cls._of({name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
 
     @classmethod
-    def _of(cls: Type[T], values: Mapping[str, Any], **set_here: Any) -> T:
+    def _of(cls: Type[T], values: JsonMapping, **set_here: object) -> T:
         """Build from those of the values that are fields of this class; raises OptionError where one is missing."""
         fields = dataclasses.fields(cls)
         mine = {**{each.name: values[each.name] for each in fields if each.name in values}, **set_here}
@@ -156,7 +161,7 @@ class Options(metaclass=_ByName):
                     ]
         return found
 
-    def to_json(self) -> Dict[str, Any]:
+    def to_json(self) -> JsonObject:
         return dataclasses.asdict(self)
 
 
@@ -509,12 +514,12 @@ class PipelineOptions(Options):
         return list(dict.fromkeys([*names, *cls.OWN]))
 
     @classmethod
-    def option(cls, name: str) -> "dataclasses.Field[Any]":
+    def option(cls, name: str) -> "dataclasses.Field[object]":
         stages = (stage for stage in cls.STAGES if name in stage.names())
         return next(stages).option(name) if name not in cls.OWN else super().option(name)
 
     @classmethod
-    def _of(cls, values: Mapping[str, Any], **set_here: Any) -> "PipelineOptions":
+    def _of(cls, values: JsonMapping, **set_here: object) -> "PipelineOptions":
         own = {name: values[name] for name in cls.OWN if name in values}
         values = {**PRESETS.get(str(own.get("preset", "none")), {}), **values}
         folder = Path(str(values.get("workspace", "")))

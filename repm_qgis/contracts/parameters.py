@@ -9,19 +9,19 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, Dict
+from typing import Dict
 
 
 @dataclass(frozen=True)
 class Parameters:
     """The base of all sets of parameters; every field has a default, and may be another set."""
 
-    def changes(self) -> Dict[str, Any]:
+    def changes(self) -> Dict[str, object]:
         """The fields that differ from their defaults, JSON-able; sets within this one as objects within the object.
 
         It is empty for the defaults, so results made with them have the same fingerprint as before a field was added.
         """
-        found: Dict[str, Any] = {}
+        found: Dict[str, object] = {}
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if isinstance(value, Parameters):
@@ -33,5 +33,5 @@ class Parameters:
         return found
 
 
-def _default(field: "dataclasses.Field[Any]") -> Any:
+def _default(field: "dataclasses.Field[object]") -> object:
     return field.default if field.default_factory is dataclasses.MISSING else field.default_factory()

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
-from typing import Any, Dict, Iterator, List, Tuple
+from typing import TYPE_CHECKING, Dict, Iterator, List, Tuple
+
+if TYPE_CHECKING:
+    from .options import Options
 
 RASTER, POINTS, POLYGONS, FILE = "raster", "points", "polygons", "file"
 FOLDER = "folder"  # files are written into it, others may be there
@@ -327,7 +330,7 @@ def product(stage: str, option: str) -> Product:
     return next(each for each in products_of(stage) if each.option == option)
 
 
-def not_requested(stage: str) -> Dict[str, Any]:
+def not_requested(stage: str) -> Dict[str, object]:
     """The options of the products that a stage writes on request, all of them left out."""
     return {each.option: None for each in products_of(stage) if each.wanted == ON_REQUEST}
 
@@ -348,7 +351,7 @@ def kept_folder(path: str) -> str:
     return f"{os.path.splitext(path)[0]}_blocks"
 
 
-def paths_of(stage: str, options: Any) -> Iterator[Tuple[Product, str]]:
+def paths_of(stage: str, options: Options) -> Iterator[Tuple[Product, str]]:
     """The products that a stage's options name, with their paths; those of the pipeline's stages too.
 
     The folder of a VRT's tiles follows it, as a product of its own without a style.

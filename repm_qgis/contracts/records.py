@@ -6,7 +6,6 @@ import dataclasses
 from dataclasses import dataclass
 from typing import (
     Annotated,
-    Any,
     Callable,
     Dict,
     List,
@@ -66,11 +65,11 @@ class Record:
     The annotations of its fields say what the entries must be (:mod:`repm_qgis.contracts.checks`).
     """
 
-    def to_mapping(self) -> Dict[str, Any]:
+    def to_mapping(self) -> Dict[str, object]:
         return {field.name: _plain(getattr(self, field.name)) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
 
     @classmethod
-    def from_mapping(cls: Type[R], values: Mapping[str, Any]) -> R:
+    def from_mapping(cls: Type[R], values: Mapping[str, object]) -> R:
         """Raises Misfit where an entry is missing, does not fit its field's type, or contradicts another one."""
         types, entries = types_of(cls), {}
         for field in dataclasses.fields(cls):  # type: ignore[arg-type]  # every subclass is a dataclass
@@ -90,7 +89,7 @@ class Record:
         return ""
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """A value as JSON has it."""
     if hasattr(value, "to_mapping"):
         return value.to_mapping()
@@ -111,9 +110,9 @@ def with_files(record: R, change: Callable[[str], str]) -> R:
     return dataclasses.replace(record, **changed) if changed else record  # type: ignore[type-var]
 
 
-def _files_changed(kind: Any, value: Any, change: Callable[[str], str]) -> Any:
+def _files_changed(kind: object, value: object, change: Callable[[str], str]) -> object:
     if kind in (FilePath, OwnFilePath):
-        return change(value) if value else value
+        return change(str(value)) if value else value
     if isinstance(value, Record):
         return with_files(value, change)
     if get_origin(kind) is Union and value is not None:
@@ -480,6 +479,6 @@ class StageRecord(Record):
     fingerprint: str
     engine: str
     seconds: Annotated[float, Number(0, 1e9, "s")]
-    options: Dict[str, Any]
+    options: Dict[str, object]
     warnings: Tuple[str, ...] = ()
-    parameters: Dict[str, Any] = dataclasses.field(default_factory=dict)
+    parameters: Dict[str, object] = dataclasses.field(default_factory=dict)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Dict, Optional, Sequence, Tuple
+from typing import Dict, Optional, Sequence, Tuple, Union
 
 from osgeo import ogr
 
@@ -39,7 +39,7 @@ class Edit:
     enabled: bool = True
     made: str = ""
 
-    def record(self) -> Dict[str, Any]:
+    def record(self) -> Dict[str, object]:
         """What the edit does, as JSON can hold it."""
         wkt = ogr.CreateGeometryFromWkb(self.geometry).ExportToIsoWkt()
         found = {"number": self.number, "operation": self.operation, "value": self.value, "width": self.width}
@@ -92,7 +92,7 @@ def _read(path: str, layer: ogr.Layer) -> Edits:
 
 
 def _edit(path: str, feature: ogr.Feature, places: Dict[str, int], index: int) -> Edit:
-    def field(name: str) -> Any:
+    def field(name: str) -> Union[float, str, None]:
         place = places.get(name, -1)
         return feature.GetField(place) if place >= 0 and feature.IsFieldSetAndNotNull(place) else None
 
@@ -113,7 +113,7 @@ def _edit(path: str, feature: ogr.Feature, places: Dict[str, int], index: int) -
     return Edit(number, operation, wkb, value, width, enabled is None or bool(enabled), str(field("made") or ""))
 
 
-def _number(path: str, number: int, name: str, value: Any) -> Optional[float]:
+def _number(path: str, number: int, name: str, value: Union[float, str, None]) -> Optional[float]:
     try:
         found = None if value is None else float(value)
     except ValueError:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, List, Optional, Tuple
+from typing import List, Optional, Tuple
 
 import numpy as np
 from osgeo import gdal, ogr, osr
@@ -68,7 +68,9 @@ class Shape:
                 self._look_at(start, end, window, nearest, height)
         return nearest, height
 
-    def _look_at(self, start: Any, end: Any, window: Window, nearest: FloatArray, height: FloatArray) -> None:
+    def _look_at(
+        self, start: FloatArray, end: FloatArray, window: Window, nearest: FloatArray, height: FloatArray
+    ) -> None:
         low, high = np.minimum(start, end)[:2] - self.half - 1, np.maximum(start, end)[:2] + self.half + 1
         ends = [*map(math.floor, low), *map(math.ceil, high)]
         near = Window.spanning(*ends).common(window)
@@ -103,7 +105,7 @@ def shapes_of(edits: Edits, grid: Grid, cell: float) -> List[Tuple[Edit, Shape]]
     return [(edit, _shape(edits.path, edit, transformation, grid, cell)) for edit in edits.edits if edit.enabled]
 
 
-def _shape(path: str, edit: Edit, transformation: Any, grid: Grid, cell: float) -> Shape:
+def _shape(path: str, edit: Edit, transformation: osr.CoordinateTransformation, grid: Grid, cell: float) -> Shape:
     geometry = ogr.CreateGeometryFromWkb(edit.geometry)
     has_heights = bool(geometry.Is3D())
     parts = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, List, Optional, Tuple
+from typing import List, Optional, Tuple, TypeVar
 
 import numpy as np
 from osgeo import gdal, osr
@@ -28,6 +28,9 @@ from .parameters import COMPARISON, ComparisonParameters
 _ROUNDING = 1e-9  # of a cell for each cell along a row: 1e-4 cells over 100,000 of them
 _NO_ALIGNMENT = Alignment("none")
 _KERNEL_MARGIN = 3  # cells of the source around a window; bilinear needs one at its scale, the rest is for curvature
+
+
+Places = TypeVar("Places", float, FloatArray)
 
 
 @dataclass(frozen=True)
@@ -83,12 +86,12 @@ class Grid:
         """The same cells without a vertical datum: for values that are no heights."""
         return replace(self, wkt=flat_crs(self.crs).to_wkt("WKT2_2019")) if self.wkt else self
 
-    def to_ground(self, column: Any, row: Any) -> Tuple[Any, Any]:
+    def to_ground(self, column: Places, row: Places) -> Tuple[Places, Places]:
         """Ground x, y of places (numbers or arrays): (0, 0) is the first cell's outer corner, (0.5, 0.5) its centre."""
         a, b, c, d, e, f = self.transform
         return a + b * column + c * row, d + e * column + f * row
 
-    def to_cells(self, x: Any, y: Any) -> Tuple[Any, Any]:
+    def to_cells(self, x: Places, y: Places) -> Tuple[Places, Places]:
         """The inverse of :meth:`to_ground`."""
         a, b, c, d, e, f = self.transform
         determinant = b * f - c * e
@@ -352,7 +355,7 @@ class HeightWarper:
             self.warnings.append(f"{task} {poor} is missing: {', '.join(missing)}.")
         return group.transformers[0]
 
-    def _in_target(self, vertical: Transformer, x: Any, y: Any, height: FloatArray) -> FloatArray:
+    def _in_target(self, vertical: Transformer, x: FloatArray, y: FloatArray, height: FloatArray) -> FloatArray:
         """Heights in the target's vertical datum, m; PROJ has those of each CRS in its own unit."""
         own, theirs = (unit_of_heights(grid.crs) or 1.0 for grid in (self._source, self._target))
         return np.asarray(vertical.transform(x, y, height / own)[2]) * theirs
@@ -361,7 +364,8 @@ class HeightWarper:
         """Scale and offset (rows, columns) of heights, from a coarse lattice: datums differ smoothly."""
         columns, rows = cells.size
         u, v = np.linspace(0.5, columns - 0.5, 9), np.linspace(0.5, rows - 0.5, 9)
-        x, y = self._to_source.transform(*(a.ravel() for a in cells.to_ground(*np.meshgrid(u, v))))
+        east, north = cells.to_ground(*np.meshgrid(u, v))
+        x, y = self._to_source.transform(east.ravel(), north.ravel())
         low, high = (self._in_target(vertical, x, y, np.full(81, h)) for h in (height, height + 100.0))
         scale = (high - low) / 100.0
         if not np.isfinite(low).all():

@@ -55,7 +55,8 @@ def read_lines(path: str, reference: Grid) -> List[ProfileLine]:
 
     A line is named by its field ``name``, or else by its number. Raises InputTableError where there is no line.
     """
-    source, layer = open_layer(*file_and_layer(path))
+    file, name = file_and_layer(path)
+    source, layer = open_layer(file, name)
     if layer is None:
         raise InputTableError(f"Cannot open the profile lines of '{path}': give a line layer.")
     lines = []

@@ -37,7 +37,7 @@ def write_image(
     plain = str(path) if stretch is None else f"{path}.tif"
     with ExitStack() as files:
 
-        def band(name: str, dtype: "np.dtype[Any]", compress: bool) -> RasterWriter:
+        def band(name: str, dtype: "np.dtype[np.generic]", compress: bool) -> RasterWriter:
             frame = RasterFrame(view.size[::-1], dtype)
             return files.enter_context(created(name, frame, nodata=None, compress=compress))
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path, PurePosixPath
-from typing import Any, Dict, Tuple
+from typing import Dict, Tuple
 
 import numpy as np
 
@@ -31,7 +31,7 @@ def _mask(image: str) -> str:
     return f"masks/{PurePosixPath(image).stem}.png"
 
 
-def _frame(view: ExportView, image: str) -> Dict[str, Any]:
+def _frame(view: ExportView, image: str) -> Dict[str, object]:
     K = view.corner_K
     files = {"file_path": image, "mask_path": _mask(image), "w": view.size[0], "h": view.size[1]}
     intrinsics = zip(("fl_x", "fl_y", "cx", "cy"), map(float, (K[0, 0], K[1, 1], K[0, 2], K[1, 2])))

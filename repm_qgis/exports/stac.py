@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
@@ -67,7 +67,7 @@ def write_item(path: str, scene: Scene, products: Mapping[str, Tuple[str, str]])
         if file and os.path.isfile(file)
     }
     satellites = sorted({view.sensor for view in scene.views if view.sensor})
-    properties: Dict[str, Any] = {
+    properties: Dict[str, object] = {
         "datetime": first if first == last else None,
         "start_datetime": first,
         "end_datetime": last,
@@ -91,7 +91,7 @@ def write_item(path: str, scene: Scene, products: Mapping[str, Tuple[str, str]])
     return write_text(path, json.dumps(item, indent=1, allow_nan=False) + "\n")
 
 
-def _place(dataset: gdal.Dataset) -> Dict[str, Any]:
+def _place(dataset: gdal.Dataset) -> Dict[str, object]:
     """The fields of the Projection extension of a raster, and its cells' side, m."""
     x, cell, _, y, _, down = dataset.GetGeoTransform()
     columns, rows = dataset.RasterXSize, dataset.RasterYSize
@@ -117,10 +117,10 @@ def _outline(dataset: gdal.Dataset) -> FloatArray:
     return rounded
 
 
-def _asset(option: str, title: str, file: str, *, folder: str, place: Dict[str, Any]) -> Dict[str, Any]:
+def _asset(option: str, title: str, file: str, *, folder: str, place: Dict[str, object]) -> Dict[str, object]:
     """A file with its bands, and its own fields of the item's ``place`` where its cells are others."""
     kind = _KINDS.get(Path(file).suffix.lower())
-    asset: Dict[str, Any] = {
+    asset: Dict[str, object] = {
         "href": f"./{Path(os.path.relpath(os.path.abspath(file), folder)).as_posix()}",
         "title": title,
         "roles": ["overview" if option in ("viewer", "report") else "visual" if option == "ortho" else "data"],
@@ -136,12 +136,15 @@ def _asset(option: str, title: str, file: str, *, folder: str, place: Dict[str, 
     return asset
 
 
-def _bands(dataset: gdal.Dataset) -> List[Dict[str, Any]]:
+def _bands(dataset: gdal.Dataset) -> List[Dict[str, object]]:
     """The Raster extension's facts of each band."""
     found = []
     for number in range(1, dataset.RasterCount + 1):
         band = dataset.GetRasterBand(number)
-        facts: Dict[str, Any] = {"data_type": _TYPES.get(band.DataType, "other"), "spatial_resolution": _cell(dataset)}
+        facts: Dict[str, object] = {
+            "data_type": _TYPES.get(band.DataType, "other"),
+            "spatial_resolution": _cell(dataset),
+        }
         nodata = band.GetNoDataValue()
         if nodata is not None:
             facts["nodata"] = nodata

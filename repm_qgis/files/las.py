@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
-from typing import Any
+from types import ModuleType
 
 from ..contracts.errors import INSTALL_REMEDY, MissingPackageError
 from ..runtime.containers import own_rest
@@ -58,7 +58,7 @@ def _end_of_records(path: str, place: int, records: int) -> int:
     return place
 
 
-def required_laspy(option: str) -> Any:
+def required_laspy(option: str) -> ModuleType:
     """The package laspy; raises MissingPackageError with the option that needs it."""
     try:
         import laspy
@@ -66,10 +66,11 @@ def required_laspy(option: str) -> Any:
         raise MissingPackageError(
             f"Point clouds need the package 'laspy': {INSTALL_REMEDY}, or leave {option} empty."
         ) from error
-    return laspy
+    found: ModuleType = laspy
+    return found
 
 
-def laz_backend(laspy: Any) -> Any:
+def laz_backend(laspy: ModuleType) -> object:
     """Compression by all cores, but by one where the address space is bounded: threads that find none end the process.
 
     The files are the same.

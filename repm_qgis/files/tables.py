@@ -9,7 +9,7 @@ import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Mapping, Optional, Tuple
+from typing import Dict, Iterator, List, Mapping, Optional, Tuple
 
 import pyproj
 from osgeo import gdal, ogr
@@ -77,9 +77,9 @@ class CsvTable:
             self._delimiter = max(_DELIMITERS, key=head.count)  # the first of those that are as frequent
             if self._delimiter not in head:
                 self._delimiter = " "
-            self.fields = [name.strip().lower() for name in next(self._reader(iter([head])), [])]
+            self.fields = [(name or "").strip().lower() for name in next(self._reader(iter([head])), [])]
 
-    def rows(self) -> Iterator[Tuple[int, Mapping[str, Any]]]:
+    def rows(self) -> Iterator[Tuple[int, Mapping[str, object]]]:
         """Each row's number in the file, the fields' names being 1, and its texts; None where it is too short."""
         with self._sentences(), open(self._path, encoding="utf-8-sig", newline="") as stream:
             reader = self._reader(stream)
@@ -88,8 +88,8 @@ class CsvTable:
                 values += [None] * (len(self.fields) - len(values))
                 yield line, dict(zip(self.fields, values))
 
-    def _reader(self, lines: Iterator[str]) -> Iterator[List[Any]]:
-        return csv.reader(lines, delimiter=self._delimiter, skipinitialspace=True)
+    def _reader(self, lines: Iterator[str]) -> Iterator[List[Optional[str]]]:
+        yield from csv.reader(lines, delimiter=self._delimiter, skipinitialspace=True)
 
     def _sentences(self) -> "_Sentences":
         return _Sentences(self._path)
@@ -104,7 +104,7 @@ class _Sentences:
     def __enter__(self) -> None:
         pass
 
-    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         if isinstance(error, (OSError, UnicodeDecodeError, csv.Error)):
             text = f"Cannot read the points of '{self._path}' ({error}): give a CSV file in UTF-8."
             raise InputTableError(text) from error
@@ -139,7 +139,7 @@ class LayerTable:
         if all(map(math.isfinite, bounds)):
             self._layer.SetSpatialFilterRect(*bounds)
 
-    def rows(self) -> Iterator[Tuple[int, Dict[str, Any], Optional[Tuple[float, float, float]]]]:
+    def rows(self) -> Iterator[Tuple[int, Dict[str, object], Optional[Tuple[float, float, float]]]]:
         """Each feature's number from 1, its fields, and x, y, z of its point (None where it has none).
 
         Raises InputTableError where the layer ends with an error.

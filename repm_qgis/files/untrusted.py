@@ -11,7 +11,7 @@ import re
 import stat
 from functools import lru_cache
 from itertools import islice
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 from xml.parsers import expat  # declarations of types, and so of entities, are refused
 
 from osgeo import gdal
@@ -80,7 +80,7 @@ def refusal_of(path: str) -> str:
 
 
 @lru_cache(maxsize=4096)
-def _distrust(path: str, *_: Any) -> str:
+def _distrust(path: str, *_: object) -> str:
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
         _look_through(path, 0, {})
@@ -303,7 +303,7 @@ def _texts(path: str) -> List[Tuple[str, str, bool, str]]:
     found: List[Tuple[str, str, bool, str]] = []
     stack: List[Tuple[str, str, bool, List[str]]] = []
 
-    def start(name: str, attributes: Any) -> None:
+    def start(name: str, attributes: Dict[str, str]) -> None:
         found.extend(("", "", False, value) for value in attributes.values())
         relative = attributes.get("relativeToVRT", attributes.get("relativetoVRT", "0")) == "1"
         stack.append((name.lower(), attributes.get("key", attributes.get("name", "")).upper(), relative, []))
@@ -314,7 +314,7 @@ def _texts(path: str) -> List[Tuple[str, str, bool, str]]:
         if text:
             found.append((name, key, relative, text))
 
-    def refuse(*_: Any) -> None:
+    def refuse(*_: object) -> None:
         raise ValueError("it declares a type or entities")
 
     # GDAL takes all bytes as they are, whatever the encoding that the file declares.

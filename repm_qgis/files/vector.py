@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import Any, Iterable, Mapping, Optional, Sequence, Tuple
+from typing import Iterable, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import gdal, ogr, osr
@@ -17,7 +17,7 @@ from ..runtime.workspace import not_written, take_name, temporary_folder
 from .untrusted import VECTORS, drivers_for, refusal_of
 
 _DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON", ".json": "GeoJSON", ".shp": "ESRI Shapefile", ".fgb": "FlatGeobuf"}
-Features = Iterable[Tuple[ogr.Geometry, Sequence[Any]]]
+Features = Iterable[Tuple[ogr.Geometry, Sequence[object]]]
 """Geometries with their values, in the order of the fields; None leaves a field empty."""
 _TYPES = {str: ogr.OFTString, int: ogr.OFTInteger, float: ogr.OFTReal}
 

@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Callable, Iterator, List, Optional, Sequence, Tuple
+from typing import Callable, Iterator, List, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
 
-from ..contracts.arrays import FloatArray, FloatImage, IntArray, Mask, Window
+from ..contracts.arrays import ByteImage, FloatArray, FloatImage, IntArray, Mask, Window
 from ..geometry.cell_grid import CellGrid
 from ..imagery.confidence import Provenance
 from ..imagery.sampling import median_of_known
@@ -169,9 +169,10 @@ def _means(values: FloatImage, step: int) -> FloatImage:
     return np.where(2 * count >= step * step, mean, np.nan).astype(np.float32)
 
 
-def _disc(radius: float) -> Any:
+def _disc(radius: float) -> ByteImage:
     side = 2 * max(int(round(radius)), 1) + 1
-    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    disc: ByteImage = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+    return disc
 
 
 def _broad(empty: Mask, width: float, least: float) -> Mask:
@@ -295,7 +296,7 @@ class _Shore:
 
     @classmethod
     def of(
-        cls, numbers: IntArray, number: int, facts: Any, height: FloatImage, cell: float, p: WaterParameters
+        cls, numbers: IntArray, number: int, facts: IntArray, height: FloatImage, cell: float, p: WaterParameters
     ) -> _Shore:
         """The shore of the component of a ``number``, whose ``facts`` are OpenCV's."""
         reach = max(int(round(p.shore_m / cell)), p.shore_cells)
@@ -346,7 +347,7 @@ def water_levels(
     level = np.full(inside.shape, np.nan, np.float32)
     level[inside] = np.percentile(heights, parameters.shore_percentile)
     along, shore = _lengths(inside, rows, columns, cell, parameters)
-    if along is None or float(along.max()) ** 2 < parameters.least_elongation * inside.sum() * cell**2:
+    if along is None or shore is None or float(along.max()) ** 2 < parameters.least_elongation * inside.sum() * cell**2:
         return level
     edges = np.arange(0.0, float(along.max()) + parameters.bin_m, parameters.bin_m)
     bins = np.clip(np.digitize(shore, edges) - 1, 0, len(edges) - 2)
@@ -380,7 +381,9 @@ def monotonic(values: FloatArray, weights: FloatArray) -> FloatArray:
     return np.concatenate([np.full(count, value) for value, _, count in pools])
 
 
-def _lengths(inside: Mask, rows: IntArray, columns: IntArray, cell: float, p: WaterParameters) -> Tuple[Any, Any]:
+def _lengths(
+    inside: Mask, rows: IntArray, columns: IntArray, cell: float, p: WaterParameters
+) -> Tuple[Optional[FloatArray], Optional[FloatArray]]:
     """How far along the water each of its cells lies, and each place of its shore, m; None for a body of one piece."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import dijkstra

@@ -6,7 +6,7 @@ Paper: Section 3.2.2 (the formula) and 4.2 (the measure L_E, Samp RMSE, Line RMS
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
+from typing import Callable, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -120,7 +120,7 @@ class RefinedPinhole(Record):
     error: EquivalentError
 
     @classmethod
-    def read(cls, values: Mapping[str, Any], terrain: Callable[[], Optional[Terrain]]) -> RefinedPinhole:
+    def read(cls, values: Mapping[str, object], terrain: Callable[[], Optional[Terrain]]) -> RefinedPinhole:
         """From JSON; ``terrain`` gives what a terrain-aware refinement needs. Raises Misfit."""
         camera = typed(PinholeCamera, values.get("camera"))
         return cls.from_mapping({**values, "to_original": map_from_mapping(values.get("to_original"), camera, terrain)})

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, List, Tuple
+from typing import List, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..contracts.arrays import Floats, IntArray, Window
+from ..contracts.arrays import AnyArray, Floats, IntArray, Window
 from .cell_grid import CellGrid
 
 
@@ -48,12 +47,12 @@ class FinerCells:
         (left, right), (top, bottom) = ((int(low.min()), int(low.max()) + 2) for low, _ in ends)
         return Window.spanning(left, top, min(right, self.coarse.size[0]), min(bottom, self.coarse.size[1]))
 
-    def nearest(self, values: NDArray[Any], place: Window, window: Window) -> NDArray[Any]:
+    def nearest(self, values: AnyArray, place: Window, window: Window) -> AnyArray:
         """(window.height, window.width) values of the surface's nearest cells; arguments as of :meth:`spread`."""
         if self.same:
             return values[window.inside(place)].copy()
         (columns, right), (rows, down) = self._from(place, window)
-        found: NDArray[Any] = values[rows + (down > 0.5)][:, columns + (right > 0.5)]
+        found: AnyArray = values[rows + (down > 0.5)][:, columns + (right > 0.5)]
         return found
 
     def spread(self, values: Floats, place: Window, window: Window, step: float) -> Floats:

@@ -44,7 +44,7 @@ class HomographyMap(Record):
     def moved(self, col: float, row: float) -> "HomographyMap":
         return HomographyMap(self.matrix @ translation(col, row))
 
-    def to_mapping(self) -> dict[str, Any]:
+    def to_mapping(self) -> dict[str, object]:
         return {"kind": "homography", **super().to_mapping()}
 
 
@@ -105,7 +105,7 @@ class PolynomialMap(Record):
         coefficients[0] += step
         return PolynomialMap(self.order, self.offset - step, self.scale, coefficients)
 
-    def to_mapping(self) -> dict[str, Any]:
+    def to_mapping(self) -> dict[str, object]:
         return {"kind": "polynomial", **super().to_mapping()}
 
 
@@ -167,7 +167,7 @@ class TerrainMap:
     def moved(self, col: float, row: float) -> "TerrainMap":
         return TerrainMap(self.camera.moved(col, row), self.terrain)
 
-    def to_mapping(self) -> dict[str, Any]:
+    def to_mapping(self) -> dict[str, object]:
         return {"kind": "terrain"}
 
 
@@ -190,7 +190,7 @@ class JitteredMap:
     def moved(self, col: float, row: float) -> "JitteredMap":
         return JitteredMap(self.steady.moved(col, row), self.jitter)
 
-    def to_mapping(self) -> dict[str, Any]:
+    def to_mapping(self) -> dict[str, object]:
         return {"kind": "jittered", "steady": self.steady.to_mapping(), "jitter": self.jitter.to_mapping()}
 
 

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any, Callable, Iterator, List, Mapping, Optional, Sequence, Tuple, Union
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 from osgeo import gdal
 
-from ..contracts.arrays import FloatImage, Mask, Size, Window
+from ..contracts.arrays import AnyArray, FloatImage, Mask, Size, Window
 from ..contracts.errors import ImageError
 from ..files.untrusted import RASTERS, claimed, drivers_for, refusal_of, refusal_of_empty, unlike_an_image
 from ..runtime.shortage import speaks_of_memory
@@ -41,7 +41,7 @@ def quiet() -> Iterator[None]:
         gdal.PopErrorHandler()
 
 
-def _attempt(work: Callable[[], Any]) -> Tuple[Any, str]:
+def _attempt(work: Callable[[], object]) -> Tuple[Any, str]:
     """The result of work with GDAL, None if it failed, and GDAL's reason, "" if all went well.
 
     GDAL writes late, and libtiff only warns of a truncated file: return values do not show all that fails.
@@ -222,7 +222,7 @@ class RasterWriter:
             if unit:
                 handle.SetUnitType(unit)
 
-    def write(self, values: NDArray[Any], col: int = 0, row: int = 0, band: int = 1, keep: bool = False) -> None:
+    def write(self, values: AnyArray, col: int = 0, row: int = 0, band: int = 1, keep: bool = False) -> None:
         """Write (height, width) values at a place; NaN becomes the band's nodata value. Raises WorkspaceError.
 
         With ``keep``, NaN does not replace values that are there already.
@@ -281,7 +281,7 @@ class RasterWriter:
 
 
 def write(
-    path: str, bands: Sequence[NDArray[Any]], geotransform: Optional[Sequence[float]], crs_wkt: str, **options: Any
+    path: str, bands: Sequence[AnyArray], geotransform: Optional[Sequence[float]], crs_wkt: str, **options: Any
 ) -> str:
     """Write bands (each (height, width), NaN = nodata for floats) as a GeoTIFF, with the options of :func:`created`.
 
@@ -350,7 +350,7 @@ def created(
                 os.unlink(part)
 
 
-def _to_cog(source: str, target: str, path: str, dtype: np.dtype[Any], overviews: str) -> None:
+def _to_cog(source: str, target: str, path: str, dtype: np.dtype[np.generic], overviews: str) -> None:
     """Copy a raster as a Cloud Optimized GeoTIFF, with overviews."""
     options = ["COMPRESS=DEFLATE", "LEVEL=1", f"PREDICTOR={'FLOATING_POINT' if dtype.kind == 'f' else 'STANDARD'}"]
     options += ["OVERVIEWS=IGNORE_EXISTING", f"RESAMPLING={overviews}", "BLOCKSIZE=256", "BIGTIFF=IF_SAFER"]
@@ -403,7 +403,7 @@ def name_of(path: str) -> str:
     return Path(path).stem
 
 
-def raster_identity(path: str) -> List[List[Any]]:
+def raster_identity(path: str) -> List[List[object]]:
     """What distinguishes a raster from a changed one: the identities of all files that GDAL says belong to it.
 
     Masks, overviews, RPC files beside it, and the images behind a VRT are among them.

@@ -10,7 +10,7 @@ import json
 import os
 import re
 from dataclasses import dataclass
-from typing import Any, Dict, Iterator, List, Mapping, Sequence, Tuple
+from typing import Dict, Iterator, List, Mapping, Sequence, Tuple
 from urllib.parse import unquote
 
 from ..contracts.errors import ImageError, RpcError
@@ -61,7 +61,7 @@ def _items(path: str, depth: int) -> Iterator[StacItem]:
             yield from _items(_local(path, str(link.get("href", ""))), depth + 1)
 
 
-def _item(path: str, feature: Mapping[str, Any]) -> StacItem:
+def _item(path: str, feature: Mapping[str, object]) -> StacItem:
     assets, properties = (_object(feature.get(name)) for name in ("assets", "properties"))
     images: List[str] = []
     rpcs: List[str] = []
@@ -90,7 +90,7 @@ def _local(path: str, href: str) -> str:
     return plain if os.path.exists(plain) else spelt
 
 
-def _document(path: str) -> Dict[str, Any]:
+def _document(path: str) -> Dict[str, object]:
     if not os.path.isfile(path):
         raise ImageError(f"There is no STAC file '{path}': get all files of the catalogue.")
     try:
@@ -105,7 +105,7 @@ def _document(path: str) -> Dict[str, Any]:
         raise ImageError(f"Cannot read the STAC item '{path}' ({str(error)[:200]}): get it again.") from error
 
 
-def _object(value: Any) -> Dict[str, Any]:
+def _object(value: object) -> Dict[str, object]:
     return value if isinstance(value, dict) else {}
 
 

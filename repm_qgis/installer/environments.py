@@ -14,8 +14,9 @@ import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import List, Optional, Sequence, Tuple
 
+from ..contracts.documents import JsonMapping, JsonObject
 from ..contracts.paths import real_path
 from ..runtime.packages import PLUGIN_FOLDER, REQUIREMENTS, package_of, requirements_of, sizes_mb
 from ..runtime.workspace import free_bytes, write_text
@@ -59,7 +60,7 @@ def folder_for(home: str, program: str, requirements: Optional[Sequence[str]] = 
     return os.path.join(home, _PREFIX + hashlib.sha256(mark.encode()).hexdigest()[:10])
 
 
-def stamp_of(folder: str) -> Dict[str, Any]:
+def stamp_of(folder: str) -> JsonObject:
     """The facts that the installer wrote when the environment was complete; empty where it is not."""
     try:
         with open(os.path.join(folder, STAMP), encoding="utf-8") as stream:
@@ -69,7 +70,7 @@ def stamp_of(folder: str) -> Dict[str, Any]:
     return known if isinstance(known, dict) and is_program(program_in(folder)) else {}
 
 
-def mark(folder: str, program: str, requirements: Sequence[str], extras: Sequence[str], **more: Any) -> None:
+def mark(folder: str, program: str, requirements: Sequence[str], extras: Sequence[str], **more: object) -> None:
     """Mark the environment as complete."""
     known = {"program": real_path(program), "requirements": hash_of(requirements), "extras": list(extras)}
     write_text(os.path.join(folder, STAMP), json.dumps({**known, **more}, indent=1))
@@ -106,7 +107,7 @@ def fits(folder: str, programs: Optional[Sequence[str]]) -> bool:
     return _is_of(known, programs) and known.get("requirements") == hash_of(lines)
 
 
-def _is_of(known: Mapping[str, Any], programs: Optional[Sequence[str]]) -> bool:
+def _is_of(known: JsonMapping, programs: Optional[Sequence[str]]) -> bool:
     return bool(known) and (programs is None or known.get("program") in [real_path(program) for program in programs])
 
 

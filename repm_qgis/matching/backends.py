@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Dict, List, Mapping, NamedTuple, Optional, Protocol, Sequence, Tuple
+from typing import TYPE_CHECKING, Dict, List, Mapping, NamedTuple, Optional, Protocol, Sequence, Tuple
 
 import numpy as np
 
@@ -81,7 +81,7 @@ class Backend(Protocol):
     def remedy(self) -> str:
         """What the backend needs, and what to do to make it run, after its name; "" where it can run."""
 
-    def settings(self, options: ReconstructOptions) -> List[Any]:
+    def settings(self, options: ReconstructOptions) -> List[object]:
         """The user's choices that change this backend's height maps: they are part of the fingerprint."""
 
     def match(self, job: MatchingJob, progress: Progress) -> MatchingResult:

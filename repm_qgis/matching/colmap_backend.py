@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Callable, Dict, List, Optional, Sequence, Tuple
 
 from ..colmap.runner import PatchMatchOptions, Runner, run_patch_match
 from ..colmap.tile_matching import GpuTask, match_tiles, tile_height_source
@@ -41,7 +41,7 @@ class ColmapBackend:
         missing = cuda()["remedy"]
         return f"needs CUDA, and {missing}" if missing else ""
 
-    def settings(self, options: ReconstructOptions) -> List[Any]:
+    def settings(self, options: ReconstructOptions) -> List[object]:
         return [options.geometric, options.colmap_fusion, options.window_radius]
 
     def match(self, job: MatchingJob, progress: Progress) -> MatchingResult:

@@ -7,7 +7,7 @@ import os
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
-from typing import Any, Callable, List, NamedTuple, Optional, Tuple
+from typing import Callable, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 
@@ -58,7 +58,7 @@ class PairBackend:
     def remedy(self) -> str:
         return ""
 
-    def settings(self, options: ReconstructOptions) -> List[Any]:
+    def settings(self, options: ReconstructOptions) -> List[object]:
         return []
 
     def match(self, job: MatchingJob, progress: Progress) -> MatchingResult:

@@ -7,11 +7,12 @@ import os
 import zipfile
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
 from ..contracts.arrays import FloatImage, IntArray, Window
+from ..contracts.documents import JsonObject
 from ..contracts.errors import EmptyResultError
 from ..evaluation.coregistration import align, block_means
 from ..evaluation.grids import Grid, HeightWarper, cell_metres, metres_per_unit
@@ -250,7 +251,7 @@ def make_block(task: BlockTask) -> Block:
     return Block(task.own, task.path, dict(zip(places.tolist(), counts.tolist())), made["steps"], reused)
 
 
-def _finished(path: str) -> Optional[Dict[str, Any]]:
+def _finished(path: str) -> Optional[JsonObject]:
     """A stored block, whose checksums reading compares; None where it is not there as a whole."""
     try:
         with np.load(path, allow_pickle=False) as kept:
@@ -259,7 +260,7 @@ def _finished(path: str) -> Optional[Dict[str, Any]]:
         return None
 
 
-def _made(task: BlockTask) -> Optional[Dict[str, Any]]:
+def _made(task: BlockTask) -> Optional[JsonObject]:
     """What is stored of a block; None where no DSM has a height."""
     seams, cells = task.parameters.seams, task.target.window(task.wide)
     heights, errors, interiors, numbers = [], [], [], []

@@ -8,13 +8,12 @@ import os
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..contracts.arrays import FloatArray, FloatImage, Floats
+from ..contracts.arrays import AnyArray, FloatArray, FloatImage, Floats
 from ..contracts.errors import ImageError, OptionError, OverlapError, RepmError
 from ..contracts.options import DsmFuseOptions
 from ..fusion.parameters import VisibilityParameters
@@ -128,7 +127,7 @@ class ColourPlan:
         """All images that are read."""
         return [file for source in self.sources for file in source.files]
 
-    def stored(self, colours: FloatImage) -> NDArray[Any]:
+    def stored(self, colours: FloatImage) -> AnyArray:
         """(B, H, W) colours as the orthophoto keeps them."""
         if self.kind == "float32":
             return colours

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any, Dict, Iterable, List, NamedTuple, Sequence
+from typing import Dict, Iterable, List, NamedTuple, Sequence
 
 from osgeo import ogr
 
@@ -147,7 +147,7 @@ def require_space(work: str, needs: Iterable[Need], progress: Progress) -> None:
 
     Raises WorkspaceError where a disk has not even the least; a warning says where it may not have enough.
     """
-    disks: Dict[Any, List[Need]] = {}
+    disks: Dict[object, List[Need]] = {}
     for need in needs:
         disks.setdefault(os.stat(existing_place(need.path)).st_dev, []).append(need)
     for group in disks.values():

@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 from copy import copy
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..contracts.arrays import FloatArray
+from ..contracts.arrays import AnyArray, FloatArray
 from ..contracts.errors import OptionError
 from ..geometry.frames import EnuFrame, mean_place
 from ..geometry.jitter import Jitter
@@ -570,7 +570,7 @@ def _pseudo_inverse(jacobian: FloatArray) -> FloatArray:
     return np.linalg.solve(square + ridge, transposed)
 
 
-def _log_mean(square: Any) -> float:
+def _log_mean(square: AnyArray) -> float:
     return math.log(max(float(np.mean(square)), 1e-12))
 
 

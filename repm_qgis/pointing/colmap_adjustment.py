@@ -14,6 +14,7 @@ assumed to be right and the mean correction is zero, as in ``adjustment``.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import ModuleType
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -118,7 +119,7 @@ class _Patch:
 
 
 def _adjust_patch(
-    pycolmap: Any, patch: _Patch, parameters: ColmapAdjustmentParameters, headroom_m: float
+    pycolmap: ModuleType, patch: _Patch, parameters: ColmapAdjustmentParameters, headroom_m: float
 ) -> Optional[_PatchShifts]:
     """The shifts that fit a patch's ties; None where these are too few."""
     if len(patch.tracks) < parameters.least_ties:
@@ -186,7 +187,7 @@ class _Model:
 
     def __init__(
         self,
-        pycolmap: Any,
+        pycolmap: ModuleType,
         seen: Dict[int, _PatchView],
         measured: Sequence[Dict[int, FloatArray]],
         places: FloatArray,

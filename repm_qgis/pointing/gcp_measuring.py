@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Dict, FrozenSet, List, Optional, Sequence, Tuple
+from typing import Dict, FrozenSet, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -98,7 +98,7 @@ class GcpMeasuring:
         self._change(_State(tuple(points)))
         self.unsaved = False
 
-    def add(self, row: Dict[str, Any]) -> Gcp:
+    def add(self, row: Dict[str, object]) -> Gcp:
         """Add a point by its fields id, lon, lat, height (m above the ellipsoid) and role.
 
         Raises InputTableError for what a table could not hold.
@@ -107,7 +107,7 @@ class GcpMeasuring:
         self._change(replace(self._state, points=(*self.points, gcp)))
         return gcp
 
-    def edit(self, name: str, **fields: Any) -> Gcp:
+    def edit(self, name: str, **fields: object) -> Gcp:
         """Change some fields of a point; its pixels stay. Raises InputTableError for what a table could not hold."""
         old = self.point(name)
         row = {"id": old.id, "lon": old.lon, "lat": old.lat, "height": old.height, "role": old.role, **fields}
@@ -143,7 +143,7 @@ class GcpMeasuring:
         write_gcps(path, self.points)
         self.unsaved = False
 
-    def _checked(self, row: Dict[str, Any], former: str) -> Gcp:
+    def _checked(self, row: Dict[str, object], former: str) -> Gcp:
         gcp = point_of(f"Point '{row.get('id') or former}'", row)
         if gcp.id != former and any(point.id == gcp.id for point in self.points):
             raise InputTableError(f"There is already a point '{gcp.id}': give each point a name of its own.")

@@ -7,7 +7,7 @@ import io
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Callable, Counter, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Callable, Counter, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
@@ -47,7 +47,7 @@ class Gcp:
     def lon_lat_h(self) -> FloatArray:
         return np.array([self.lon, self.lat, self.height])
 
-    def to_mapping(self) -> Dict[str, Any]:
+    def to_mapping(self) -> Dict[str, object]:
         """The point's members, as JSON takes them."""
         return {**vars(self), "pixels": {view: pixel.tolist() for view, pixel in sorted(self.pixels.items())}}
 
@@ -123,7 +123,7 @@ def _measured_elsewhere(
     )
 
 
-def point_of(place: str, row: Mapping[str, Any]) -> Gcp:
+def point_of(place: str, row: Mapping[str, object]) -> Gcp:
     """A point without pixels from the fields of a row; ``place`` says in messages where the row is.
 
     Raises InputTableError for a missing id, a wrong role, and a position that is not on the Earth.
@@ -144,7 +144,7 @@ def point_of(place: str, row: Mapping[str, Any]) -> Gcp:
     return Gcp(identity, lon, lat, height, role, {})
 
 
-def _number(place: str, row: Mapping[str, Any], name: str) -> float:
+def _number(place: str, row: Mapping[str, object], name: str) -> float:
     value = row.get(name)
     number = math.nan if value is None else number_in(place, name, value)
     if not math.isfinite(number):
@@ -160,7 +160,7 @@ def _check_fields(path: str, fields: Iterable[str], with_place: bool = False) ->
         raise InputTableError(f"'{path}' lacks the {fields_missing}; a table of points needs {', '.join(FIELDS)}.")
 
 
-def _rows(path: str, name: str) -> Iterator[Tuple[int, Mapping[str, Any]]]:
+def _rows(path: str, name: str) -> Iterator[Tuple[int, Mapping[str, object]]]:
     """Rows of a table, with lon and lat from the points of a layer that has no such fields."""
     if Path(path).suffix.lower() in (".csv", ".txt"):
         table = CsvTable(path)

@@ -10,7 +10,8 @@ import math
 import re
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from types import ModuleType
+from typing import Any, Callable, Dict, List, Optional, Protocol, Sequence, Tuple
 
 import numpy as np
 import pyproj
@@ -185,13 +186,13 @@ class _Counts:
 
 
 def _add_beam(
-    points: FoundPoints, store: Any, beam: str, *, laser: Laser, path: str, seen: _Counts, check: Callable[[], None]
+    points: FoundPoints, store: _Store, beam: str, *, laser: Laser, path: str, seen: _Counts, check: Callable[[], None]
 ) -> None:
     shape = store.shape(beam + laser.height)
     places = [store.shape(beam + name) for name in (laser.lon, laser.lat)]
     qualities = [name for name in laser.quality if store.shape(beam + name)]
-    lengths = {store.shape(beam + name)[0] for name in qualities}
-    if places != [shape, shape] or len(shape) > 2 or lengths - {shape[0]} or shape[0] > _MOST_ROWS:
+    lengths = {each[0] for each in map(store.shape, (beam + name for name in qualities)) if each}
+    if shape is None or places != [shape, shape] or len(shape) > 2 or lengths - {shape[0]} or shape[0] > _MOST_ROWS:
         raise ImageError(f"'{path}' has a damaged group '{beam[:-1]}': get the file again.")
     for begin in range(0, shape[0], _ROWS):
         check()
@@ -244,7 +245,7 @@ def _good(name: str, values: FloatArray) -> Mask:
 # Files ------------------------------------------------------------------------------------------------------------
 
 
-def _opened(path: str) -> Any:
+def _opened(path: str) -> _Store:
     """The file, by GDAL or by h5py; raises ImageError or MissingPackageError."""
     drivers = [name for name in _DRIVERS if gdal.GetDriverByName(name) is not None]
     drivers = [name for name in drivers if gdal.GetDriverByName(name).GetMetadataItem(gdal.DCAP_MULTIDIM_RASTER)]
@@ -262,6 +263,16 @@ def _opened(path: str) -> Any:
 
 def _unreadable(path: str, reason: object) -> ImageError:
     return ImageError(f"Cannot read the HDF5 file '{path}' ({str(reason)[:300]}): get it again.")
+
+
+class _Store(Protocol):
+    """Arrays of an HDF5 file."""
+
+    def groups(self) -> List[str]: ...
+
+    def shape(self, name: str) -> Optional[Tuple[int, ...]]: ...
+
+    def read(self, name: str, begin: int, count: int) -> FloatArray: ...
 
 
 class _GdalStore:
@@ -308,7 +319,7 @@ class _GdalStore:
                 return None
         return group.OpenMDArray(parts[-1]) if parts[-1] in (group.GetMDArrayNames() or ()) else None
 
-    def _tried(self, work: Callable[[], Any]) -> Any:
+    def _tried(self, work: Callable[[], object]) -> Any:
         with quiet():
             try:
                 return work()
@@ -319,7 +330,7 @@ class _GdalStore:
 class _H5pyStore:
     """The same by the package h5py."""
 
-    def __init__(self, path: str, h5py: Any) -> None:
+    def __init__(self, path: str, h5py: ModuleType) -> None:
         self._path, self._h5py = path, h5py
         try:
             self._file = h5py.File(path, "r")

@@ -6,7 +6,7 @@ import itertools
 import math
 import re
 from dataclasses import dataclass
-from typing import Any, Callable, Iterator, Mapping, Optional, Sequence, Tuple
+from typing import Callable, Iterator, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
@@ -75,7 +75,7 @@ class _Heights:
             return cls(named[0], products[named[1]], quality, ellipsoid)
         return cls(plain, None, (), ellipsoid if plain in _ELLIPSOIDAL else None) if plain else None
 
-    def of_row(self, place: str, row: Mapping[str, Any]) -> float:
+    def of_row(self, place: str, row: Mapping[str, object]) -> float:
         """The height of a row, NaN where it is empty or of no good quality."""
         for name, low, high in self.quality:
             if not low <= _number(place, row, name) <= high:
@@ -185,7 +185,7 @@ def _parts(rows: Iterator[_Xyz], check: Callable[[], None]) -> Iterator[FloatArr
             return
 
 
-def _number(place: str, row: Mapping[str, Any], name: str) -> float:
+def _number(place: str, row: Mapping[str, object], name: str) -> float:
     """A field's number, NaN where it is empty."""
     value = row.get(name)
     text = "" if value is None else str(value).strip()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pyproj
 from osgeo import gdal, ogr, osr
@@ -32,7 +30,7 @@ def stable_cells(path: str, grid: CellGrid, crs: str) -> Mask:
     return cells
 
 
-def _in_polygons(path: str, layer: Any, grid: CellGrid, crs: str) -> Mask:
+def _in_polygons(path: str, layer: ogr.Layer, grid: CellGrid, crs: str) -> Mask:
     if layer.GetSpatialRef() is None:
         raise InputTableError(f"The layer '{path}' has no coordinate reference system: assign it one first.")
     if layer.GetFeatureCount() > _MOST_FEATURES:

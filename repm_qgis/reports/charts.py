@@ -10,7 +10,7 @@ import itertools
 import math
 import os
 from dataclasses import dataclass, field
-from typing import Any, Iterable, List, Mapping, Optional, Sequence, Tuple
+from typing import Iterable, List, Mapping, Optional, Sequence, Tuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,6 +27,7 @@ _MOST_NAMED = 14  # outlines, in a key beside them
 _IDS = itertools.count(1)  # an id is unique on the page, not only in its drawing
 
 Pair = Tuple[float, float]
+Values = TypeVar("Values", float, FloatArray)
 
 
 def ticks(low: float, high: float, count: int = 6) -> List[float]:
@@ -182,11 +183,11 @@ class _Plot:
     def __post_init__(self) -> None:
         self.xlim, self.ylim = _opened(self.xlim), _opened(self.ylim)
 
-    def x(self, value: Any) -> Any:
+    def x(self, value: Values) -> Values:
         """A number's or an array's place."""
         return self.left + (value - self.xlim[0]) / (self.xlim[1] - self.xlim[0]) * (self.right - self.left)
 
-    def y(self, value: Any) -> Any:
+    def y(self, value: Values) -> Values:
         return self.bottom - (value - self.ylim[0]) / (self.ylim[1] - self.ylim[0]) * (self.bottom - self.top)
 
     def x_ticks(self) -> Iterable[Tuple[float, str]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, List
+from typing import List
 
 import numpy as np
 
@@ -82,7 +82,7 @@ def _heights(page: Report, found: GcpAccuracy) -> None:
 
 def _positions(page: Report, found: GcpAccuracy) -> None:
     """Horizontal accuracy, and both accuracies in the words of a contract."""
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     for column in found.errors:
         for role in _roles(found):
             e = found.horizontal(column, role)
@@ -131,7 +131,7 @@ def _notes(found: GcpAccuracy) -> str:
 
 
 def _components(page: Report, found: GcpAccuracy) -> None:
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     for column, errors in found.errors.items():
         for index, component in enumerate(COMPONENTS):
             e = found.summary(column, component)

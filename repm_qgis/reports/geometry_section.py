@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from functools import lru_cache
-from typing import Any, List, Sequence
+from typing import List, Sequence
 
 import numpy as np
 
@@ -206,8 +206,8 @@ def _absolute(report: Report, scene: Scene, ties: PointingFigures) -> None:
     report.table("point | role | east, m | north, m | height, m", rows)
 
 
-def _summary(points: Sequence[GcpFigures]) -> List[List[Any]]:
-    rows = []
+def _summary(points: Sequence[GcpFigures]) -> List[List[object]]:
+    rows: List[List[object]] = []
     for role in ("control", "check"):
         mine = [point for point in points if point.role == role and not point.rejected]
         for name, title in (("east_m", "east"), ("north_m", "north"), ("up_m", "height")):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import Any, List, Mapping, Sequence, Tuple
+from typing import List, Mapping, Sequence, Tuple
 
 import numpy as np
 
@@ -135,7 +135,7 @@ def _pairs(places: Sequence[Place]) -> int:
 
 
 def _images(page: Report, places: Sequence[Place], unusable: Mapping[str, str]) -> None:
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     for number, place in enumerate(places, start=1):
         for facts in place.images:
             view, sun = facts.view, facts.sun
@@ -157,7 +157,7 @@ def _images(page: Report, places: Sequence[Place], unusable: Mapping[str, str]) 
 
 
 def _overlaps(page: Report, places: Sequence[Place], parameters: PlanningParameters) -> None:
-    rows: List[List[Any]] = []
+    rows: List[List[object]] = []
     for place in places:
         gsd = {facts.view.name: facts.view.gsd_m for facts in place.images}
         for facts in place.pairs:

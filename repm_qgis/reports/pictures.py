@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import os
 import uuid
-from typing import Any, Mapping, Optional, Tuple
+from typing import Mapping, Optional, Tuple
 
 import numpy as np
-from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..contracts.arrays import ByteImage, FloatImage, Floats, Size
+from ..contracts.arrays import AnyArray, ByteImage, FloatImage, Floats, Size
 from ..contracts.errors import ImageError
 from ..evaluation.grids import Grid, metres_per_unit
 from ..imagery import raster
@@ -194,12 +193,12 @@ def thumbnail(path: str | os.PathLike[str], max_px: int) -> ByteImage:
     return picture
 
 
-def png_bytes(picture: NDArray[Any]) -> bytes:
+def png_bytes(picture: AnyArray) -> bytes:
     """A (rows, columns), (..., 3) or (..., 4) uint8 array as the bytes of a PNG. Raises ValueError for other arrays."""
     return _encoded(picture, "PNG", _PNG_LEVEL)
 
 
-def jpeg_bytes(picture: NDArray[Any], quality: int) -> bytes:
+def jpeg_bytes(picture: AnyArray, quality: int) -> bytes:
     """A (rows, columns), (..., 1) or (..., 3) uint8 array as the bytes of a JPEG; ``quality`` up to 100.
 
     Raises ValueError for other arrays.
@@ -207,7 +206,7 @@ def jpeg_bytes(picture: NDArray[Any], quality: int) -> bytes:
     return _encoded(picture, "JPEG", f"QUALITY={quality}")
 
 
-def _encoded(picture: NDArray[Any], driver: str, option: str) -> bytes:
+def _encoded(picture: AnyArray, driver: str, option: str) -> bytes:
     planes = picture[..., None] if picture.ndim == 2 else picture
     if picture.dtype != np.uint8 or planes.ndim != 3 or picture.size == 0 or planes.shape[2] > 4:
         raise ValueError(f"A picture must be uint8 (rows, columns[, 1..4]), not {picture.dtype} {picture.shape}.")

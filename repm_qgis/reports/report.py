@@ -16,7 +16,7 @@ import numbers
 import os
 import re
 import struct
-from typing import Any, Dict, Iterable, List, Sequence, Tuple, Union
+from typing import Dict, Iterable, List, Sequence, Tuple, Union
 
 from ..runtime.translation import labels, reader
 from ..runtime.workspace import write_text
@@ -29,7 +29,7 @@ _MOST_ROWS = 300
 _SHOWN_PX = 800  # of a picture's longer side on the page, about, in whole pixels of the picture
 
 
-def number(value: Any) -> str:
+def number(value: object) -> str:
     """Write a value for a reader: floats with as many decimals as their size needs, None and NaN as a dash.
 
     >>> number(0.0123456), number(3.14159), number(12345.678), number(None)
@@ -40,7 +40,7 @@ def number(value: Any) -> str:
     if value is None or isinstance(value, (str, numbers.Integral)):
         return "–" if value is None else str(value)
     try:
-        real = float(value)
+        real = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         return str(value)
     if math.isnan(real):
@@ -62,7 +62,7 @@ class Report:
 
     def __init__(self, title: str, subtitle: str = "") -> None:
         self._title, self._subtitle, self._of = title, subtitle, ""
-        self._parts: List[Tuple[str, Dict[str, Any]]] = []
+        self._parts: List[Tuple[str, Dict[str, object]]] = []
         self._sections: List[str] = []
 
     def of(self, name: str) -> Report:
@@ -78,14 +78,14 @@ class Report:
     def paragraph(self, text: str) -> Report:
         return self._add("paragraph", text=text)
 
-    def facts(self, pairs: Iterable[Tuple[str, Any]]) -> Report:
+    def facts(self, pairs: Iterable[Tuple[str, object]]) -> Report:
         """Names and their values, one a line."""
         return self._add("facts", pairs=[(name, number(value)) for name, value in pairs])
 
     def table(
         self,
         headers: Union[str, Sequence[str]],
-        rows: Iterable[Sequence[Any]],
+        rows: Iterable[Sequence[object]],
         caption: str = "",
         most: int = _MOST_ROWS,
         where: str = "",
@@ -150,19 +150,19 @@ class Report:
         """Write the page, whole or not at all. Raises WorkspaceError where the file cannot be written."""
         write_text(os.fspath(path), self.html())
 
-    def _add(self, kind: str, **values: Any) -> Report:
+    def _add(self, kind: str, **values: object) -> Report:
         self._parts.append((kind, values))
         return self
 
 
-def _kind_of(cells: Sequence[Any]) -> str:
+def _kind_of(cells: Sequence[object]) -> str:
     """The style of a column: "n" for numbers, "w" for long texts (paths above all), which may break anywhere."""
     if cells and all(_is_number(cell) or cell in ("–", "") for cell in cells):
         return "n"
     return "w" if any(len(str(cell)) > _LONG for cell in cells) else ""
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     if isinstance(value, str):
         return bool(_NUMBER.match(value.strip()))
     return value is None or (hasattr(value, "__float__") and not isinstance(value, bool))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import platform
-from typing import Any, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import ogr
 
 from .. import __version__
 from ..contracts.arrays import ByteImage, FloatArray, FloatImage
+from ..contracts.documents import JsonMapping
 from ..contracts.errors import RepmError
 from ..contracts.products import STYLES, forms, products_of
 from ..contracts.records import FusionFacts
@@ -120,7 +121,7 @@ def _image_below(scene: Scene, view: View, path: str, values: FloatImage, altitu
 
 
 def pipeline_report(
-    scene: Scene, products: Mapping[str, Any], seconds: Mapping[str, float], command: Optional[str]
+    scene: Scene, products: JsonMapping, seconds: Mapping[str, float], command: Optional[str]
 ) -> Report:
     """The whole run on one page: surface, inputs, geometry, ties, and the command that repeats it."""
     report = Report("Surface model from satellite images", os.path.basename(str(products["output"])))
@@ -311,7 +312,7 @@ def _confidence(report: Report, path: Optional[str], ortho: str, dsm: str) -> No
 def _history(report: Report, scene: Scene, seconds: Optional[Mapping[str, float]] = None) -> Report:
     """Time, options and versions of all stages so far."""
     computed = {entry.stage: entry for entry in scene.history}
-    rows: List[Sequence[Any]] = []
+    rows: List[Sequence[object]] = []
     for name in seconds or computed:
         entry = computed.get(name)
         now = [f"{seconds[name]:.1f}"] if seconds else []

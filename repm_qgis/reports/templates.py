@@ -6,7 +6,7 @@ Their filter ``said`` translates, see :mod:`repm_qgis.runtime.translation`.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..contracts.data_folder import DATA_FOLDER
 from ..contracts.errors import MissingPackageError
@@ -46,11 +46,11 @@ def _environment() -> Environment:
     return found
 
 
-def page(template: str, **values: Any) -> str:
+def page(template: str, **values: object) -> str:
     """A whole template, filled in. Raises MissingPackageError where jinja2 is not installed."""
     return _environment().get_template(template).render(**values)
 
 
-def draw(kind: str, **values: Any) -> Drawing:
+def draw(kind: str, **values: object) -> Drawing:
     """One macro of ``charts.svg``, filled in. Raises MissingPackageError where jinja2 is not installed."""
     return Drawing(getattr(_environment().get_template("charts.svg").module, kind)(**values))

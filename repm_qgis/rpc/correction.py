@@ -13,11 +13,12 @@ Engineering & Remote Sensing 69 (1), 2003; Tao and Hu, 67 (12), 2001, for the vi
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Callable, Dict, Optional
+from typing import Callable, Optional
 
 import numpy as np
 
 from ..contracts.arrays import Altitudes, FloatArray, Size
+from ..contracts.documents import Keywords
 from ..contracts.errors import RpcInvalidError
 from .fit import Localise, fit_rpc
 from .grid import virtual_grid
@@ -124,7 +125,7 @@ def _with_numerators(rpc: Rpc, pointing: FloatArray, ground: FloatArray, waves: 
     """The RPC with numerators that give the pointed pixels of ground points (N, 3), least squares in the image."""
     target = _pointed(rpc, pointing, ground, waves)
     terms = monomials(*rpc.normalised(ground), np.empty((_TERMS, len(ground))))
-    numerators: Dict[str, Any] = {}
+    numerators: Keywords = {}
     for axis, name in enumerate(("col", "row")):
         old, below = (np.array(getattr(rpc, f"{name}_{part}")) for part in ("num", "den"))
         offset, scale = getattr(rpc, f"{name}_off"), getattr(rpc, f"{name}_scale")

@@ -7,11 +7,12 @@ Photogrammetric Engineering & Remote Sensing 67 (12), 2001: the terrain-independ
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, Tuple
+from typing import Callable, Tuple
 
 import numpy as np
 
 from ..contracts.arrays import Altitudes, FloatArray, Size
+from ..contracts.documents import Keywords
 from ..contracts.errors import RpcInvalidError
 from .grid import virtual_grid
 from .model import Rpc, monomials
@@ -50,7 +51,7 @@ def fit_rpc(localise: Localise, size: Size, heights: Altitudes, parameters: RpcF
     col, row = ((pixels - pixel_offset) / pixel_scale).T
     (col_num, col_den), (row_num, row_den) = (_rational(terms, value, parameters) for value in (col, row))
     names = ("lon", "lat", "height", "col", "row")
-    fields: Dict[str, Any] = {f"{name}_off": off for name, off in zip(names, (*offset, *pixel_offset))}
+    fields: Keywords = {f"{name}_off": off for name, off in zip(names, (*offset, *pixel_offset))}
     fields.update({f"{name}_scale": one for name, one in zip(names, (*scale, *pixel_scale))})
     fields.update(row_num=tuple(row_num), row_den=tuple(row_den), col_num=tuple(col_num), col_den=tuple(col_den))
     rpc = Rpc(**fields)

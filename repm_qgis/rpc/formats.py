@@ -22,6 +22,7 @@ import numpy as np
 from osgeo import gdal
 
 from ..contracts.arrays import FloatArray
+from ..contracts.documents import JsonObject
 from ..contracts.errors import RpcInvalidError, RpcMissingError
 from .model import Rpc
 
@@ -81,7 +82,7 @@ def rpc_from_texts(texts: Mapping[str, str], first_pixel: float = 0.0) -> Rpc:
 
     ``first_pixel`` is the number that the format gives to the first pixel's centre.
     """
-    values: Dict[str, Any] = {}
+    values: JsonObject = {}
     for member, key in GDAL_KEYS.items():
         if key not in texts:
             raise RpcInvalidError(f"its {key} is missing.")
@@ -446,14 +447,14 @@ def _parse_json(text: str) -> Rpc:
     return rpc_from_texts(texts)
 
 
-def _unique(pairs: Sequence[Tuple[str, Any]]) -> Dict[str, Any]:
-    result: Dict[str, Any] = {}
+def _unique(pairs: Sequence[Tuple[str, Any]]) -> JsonObject:
+    result: JsonObject = {}
     for key, value in pairs:
         _add(result, key, value)
     return result
 
 
-def _json_text(value: Any, name: str, is_series: bool) -> str:
+def _json_text(value: object, name: str, is_series: bool) -> str:
     if isinstance(value, list) and is_series:
         if len(value) != 20 or not all(isinstance(item, str) and len(item.split()) == 1 for item in value):
             raise RpcInvalidError(f"its {name} is not a list of 20 numbers.")

@@ -8,7 +8,7 @@ height in metres above its ellipsoid.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, Mapping, Optional
+from typing import Annotated, Mapping, Optional
 
 import numpy as np
 
@@ -82,7 +82,7 @@ class Rpc(Record):
             raise RpcInvalidError(f"the RPC's centre is at {place}: that is not on the Earth.")
 
     @classmethod
-    def from_mapping(cls, values: Mapping[str, Any]) -> Rpc:
+    def from_mapping(cls, values: Mapping[str, object]) -> Rpc:
         """Raises RpcInvalidError for missing or wrong members."""
         try:
             return super().from_mapping(values)

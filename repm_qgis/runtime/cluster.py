@@ -18,11 +18,12 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
-from distributed import Client, WorkerPlugin, as_completed
+from distributed import Client, Future, WorkerPlugin, as_completed
 from distributed.scheduler import KilledWorker
 from distributed.security import Security
 from osgeo import gdal
 
+from ..contracts.documents import JsonObject
 from ..contracts.errors import ClusterError
 from .parallel import R, T, do_task, packed, use_workers
 from .process_limits import prepare_process
@@ -150,12 +151,12 @@ class _Prepared(WorkerPlugin):  # type: ignore[misc]  # Dask has no types
 
     name = "repm"
 
-    def setup(self, worker: Any) -> None:
+    def setup(self, worker: object) -> None:
         prepare_process()
 
 
-def _facts() -> Callable[[Sequence[str]], Dict[str, Any]]:
-    def facts(packages: Sequence[str]) -> Dict[str, Any]:
+def _facts() -> Callable[[Sequence[str]], JsonObject]:
+    def facts(packages: Sequence[str]) -> JsonObject:
         """The versions of packages, a digest of REPM's code, and the number of threads of linear algebra.
 
         It must run where REPM is missing or another one: a function within a function travels as its code.
@@ -208,10 +209,10 @@ def _unusable_here(files: Dict[str, int], probes: Dict[str, str]) -> List[Tuple[
     return wrong
 
 
-def _ask(client: Client, address: str, question: Callable[..., Any], *arguments: Any) -> Dict[str, Any]:
+def _ask(client: Client, address: str, question: Callable[..., object], *arguments: object) -> JsonObject:
     """Every worker's answer by its address; raises ClusterError where one cannot answer, or the scheduler has ended."""
     try:
-        answers: Dict[str, Any] = client.run(question, *arguments, on_error="return")
+        answers: JsonObject = client.run(question, *arguments, on_error="return")
     except OSError as error:
         raise _gone(address) from error
     for worker, answer in answers.items():
@@ -221,14 +222,14 @@ def _ask(client: Client, address: str, question: Callable[..., Any], *arguments:
     return answers
 
 
-def _same_everywhere(client: Client, address: str) -> Dict[str, Dict[str, Any]]:
+def _same_everywhere(client: Client, address: str) -> Dict[str, JsonObject]:
     """The scheduler's facts about its workers; raises ClusterError for none, or one that differs from this machine."""
     try:
         client.wait_for_workers(1, timeout=_CONNECT_S)
     except (OSError, asyncio.TimeoutError) as error:
         remedy = "start workers with scripts/repm-cluster or 'dask worker'"
         raise ClusterError(f"The cluster at '{address}' has no workers: {remedy}.") from error
-    workers: Dict[str, Dict[str, Any]] = client.scheduler_info(n_workers=-1)["workers"]
+    workers: Dict[str, JsonObject] = client.scheduler_info(n_workers=-1)["workers"]
     own = _facts()(_PACKAGES)["versions"]
     for worker, answer in sorted(_ask(client, address, _facts(), _PACKAGES).items()):
         name = f"The worker {worker} on '{workers.get(worker, {}).get('host', 'an unknown machine')}'"
@@ -256,7 +257,7 @@ def _size(path: str) -> int:
 
 
 def _require_shared(
-    client: Client, address: str, workers: Dict[str, Dict[str, Any]], *, read: Sequence[str], folders: Sequence[str]
+    client: Client, address: str, workers: Dict[str, JsonObject], *, read: Sequence[str], folders: Sequence[str]
 ) -> None:
     """Raise ClusterError with the first machine and path that a worker sees differently from this machine."""
     files = {}
@@ -301,7 +302,7 @@ class _ClusterWorkers:
         Then the rest is finished, and ClusterError names those that were lost.
         """
         run, rest = uuid.uuid4().hex[:8], iter(range(len(tasks)))
-        numbers: Dict[Any, int] = {}  # of the tasks that the scheduler knows, by their futures
+        numbers: Dict[Future, int] = {}  # of the tasks that the scheduler knows, by their futures
         results: Dict[int, R] = {}
         lost: List[int] = []
         ended = as_completed(with_results=True, raise_errors=False, loop=self._client.loop)
@@ -341,7 +342,7 @@ class _ClusterWorkers:
             raise ClusterError(f"{found} ({names}); all others are done: {remedy}.")
         return [results[number] for number in range(len(tasks))]
 
-    def _is_result(self, future: Any, result: Any) -> bool:
+    def _is_result(self, future: Future, result: Any) -> bool:
         """Whether a task has a result; False where its workers were lost. Raises the error of a task that failed."""
         if future.status == "finished":
             return True
@@ -360,7 +361,7 @@ class _ClusterWorkers:
         if not self._client.nthreads():
             progress.warn(f"The cluster at '{self._address}' has no workers at the moment: this run waits for one.")
 
-    def _drop(self, futures: List[Any]) -> None:
+    def _drop(self, futures: List[object]) -> None:
         """Have the scheduler forget tasks; a worker ends the one that it does."""
         if futures:
             with suppress(Exception):  # the scheduler may be gone

@@ -14,8 +14,10 @@ import shutil
 import subprocess  # nosec B404 # see its one use
 import sys
 from dataclasses import dataclass
-from typing import Any, Optional
+from types import ModuleType
+from typing import Optional
 
+from ..contracts.documents import JsonObject
 from ..contracts.errors import INSTALL_REMEDY, MissingPackageError
 from .memory import kernel_memory, physical_memory
 from .packages import PACKAGES, Package
@@ -127,7 +129,7 @@ def _built_with_cuda() -> bool:
     return found and fresh_answer("import pycolmap; print(bool(pycolmap.has_cuda))") == "True"
 
 
-def cuda() -> dict[str, Any]:
+def cuda() -> JsonObject:
     """Whether CUDA can be used.
 
     ``built`` (pycolmap was made with it), ``devices`` that answer, ``usable`` (both), and ``remedy``: what to do where
@@ -164,7 +166,7 @@ def memory() -> dict[str, Optional[int]]:
     return {"total_bytes": known.get("MemTotal", physical_memory()), "available_bytes": known.get("MemAvailable")}
 
 
-def proj() -> dict[str, Any]:
+def proj() -> JsonObject:
     """PROJ's version and data folder, and which of the geoid grids are there: heights above a geoid need one."""
     pyproj, datadir, network = map(importlib.import_module, ("pyproj", "pyproj.datadir", "pyproj.network"))
     folders = [datadir.get_data_dir(), datadir.get_user_data_dir()]
@@ -174,7 +176,7 @@ def proj() -> dict[str, Any]:
     return {"version": pyproj.proj_version_str, "folders": folders, "grids": grids, "network": enabled}
 
 
-def required_pycolmap(use: str, instead: str) -> Any:
+def required_pycolmap(use: str, instead: str) -> ModuleType:
     """The module pycolmap; raises MissingPackageError, which names the use and what to choose instead, without it.
 
     The same for versions before 4, which have no rigs of one camera: there is no newer one for Python 3.9.
@@ -192,7 +194,7 @@ def required_pycolmap(use: str, instead: str) -> Any:
     return pycolmap
 
 
-def survey(folder: str = ".") -> dict[str, Any]:
+def survey(folder: str = ".") -> JsonObject:
     """Everything above as one JSON-able object; ``folder`` is where free disk space is asked for."""
     versions = {package.distribution: version_of(package) for package in PACKAGES}
     missing = [

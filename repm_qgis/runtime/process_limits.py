@@ -8,7 +8,7 @@ import os
 import sys
 import threading
 from contextlib import contextmanager
-from typing import Any, Callable, Iterator, List, Tuple
+from typing import Callable, Iterator, List, Tuple
 
 from .shortage import reserve_buffers
 
@@ -35,7 +35,7 @@ _BLAS_THREADS = (
     ("MKL_Get_Max_Threads", "MKL_Set_Num_Threads"),
 )
 _linear_algebra = threading.Lock()
-_threads_before: List[Tuple[Callable[[int], Any], int]] = []
+_threads_before: List[Tuple[Callable[[int], object], int]] = []
 _pinned = [0]  # how many blocks have one thread now
 
 
@@ -62,7 +62,7 @@ def one_thread_for_loaded_sums() -> Iterator[None]:
                     put(count)
 
 
-def _thread_settings() -> Iterator[Tuple[Callable[[], int], Callable[[int], Any]]]:
+def _thread_settings() -> Iterator[Tuple[Callable[[], int], Callable[[int], object]]]:
     """The functions that read and set the number of threads of each library of linear algebra that numpy and SciPy have
     loaded."""
     import numpy.linalg

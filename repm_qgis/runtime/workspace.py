@@ -19,7 +19,7 @@ import time
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, Dict, FrozenSet, Iterable, Iterator, List, Optional, Set
+from typing import Dict, FrozenSet, Iterable, Iterator, List, Optional, Set
 
 from .. import __version__
 from ..contracts.errors import Cancelled, RepmError, WorkspaceError
@@ -565,7 +565,7 @@ def _exchange(first: Path, second: Path) -> bool:
         return False
 
 
-def file_identity(path: str) -> List[Any]:
+def file_identity(path: str) -> List[object]:
     """A digest that distinguishes a file from a changed one without reading it all.
 
     Path, size, time of modification, inode and time of change: the last two reveal a file whose old time was restored.
@@ -597,7 +597,7 @@ def file_sample(path: str) -> str:
     return found.hexdigest()[:24]
 
 
-def fingerprint(*parts: Any) -> str:
+def fingerprint(*parts: object) -> str:
     """A short hash of JSON-able parts and the engine's version: equal hash, equal result."""
     text = json.dumps([__version__, *parts], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:24]

@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from dataclasses import dataclass
-from typing import Any, Dict, List, Sequence
+from typing import Dict, List, Sequence
 
 import numpy as np
 from osgeo import ogr, osr
@@ -35,7 +35,8 @@ class Areas(Shapes):
         """Raises InputTableError for a layer that cannot be used."""
         super().__init__(grid)
         self.names: List[str] = []
-        source, layer = open_layer(*file_and_layer(path))
+        file, name = file_and_layer(path)
+        source, layer = open_layer(file, name)
         if layer is None:
             raise InputTableError(f"The layer '{path}' of AREAS cannot be read: choose a layer of polygons.")
         if layer.GetSpatialRef() is None:
@@ -202,7 +203,7 @@ def write_areas(path: str, grid: Grid, series: Sequence[DatedDsm], found: Sequen
     labels = ["m3_" + "".join(mark for mark in each.label if mark.isdigit()) for each in series[1:]]
     kinds.update(dict.fromkeys(labels, float))
 
-    def values(each: AreaOverTime) -> List[Any]:
+    def values(each: AreaOverTime) -> List[object]:
         last = each.last
         figures = [each.area, 100 * each.known[last], each.mean[last], each.volume[last], each.deviation[last]]
         figures += [each.trend, each.trend_error, *each.volume[1:]]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
-from typing import Any, ContextManager, Dict, Iterator, List, Sequence, Tuple
+from typing import ContextManager, Dict, Iterator, List, Sequence, Tuple, Union
 
 import numpy as np
 
@@ -15,7 +15,8 @@ from ..change.errors import Correlation, correlation_of
 from ..change.parameters import CHANGE
 from ..change.surfaces import lay_on
 from ..change.volumes import GAIN, LOSS, Outlines
-from ..contracts.arrays import FloatArray, FloatImage, IntArray, Mask, Window
+from ..contracts.arrays import AnyArray, FloatArray, FloatImage, IntArray, Mask, Window
+from ..contracts.documents import Keywords
 from ..contracts.errors import EmptyResultError
 from ..contracts.options import SeriesOptions
 from ..evaluation.comparison import Thumbnails
@@ -248,7 +249,7 @@ class _Work:
         flat = flat_crs(self._grid.crs).to_wkt("WKT2_2019")
         facts: Dict[str, object] = {"REPM_ENGINE": __version__}
         facts.update({f"DATE_{number}": label for number, label in enumerate(labels, start=1)})
-        more: Dict[str, Any] = {"metadata": facts, "cog": True}
+        more: Keywords = {"metadata": facts, "cog": True}
         heights = {**more, "metadata": {**facts, **({TAG: self._surfaces.datum} if self._surfaces.datum else {})}}
         stack = raster.RasterFrame(shape, np.float32, len(labels), place, self._surfaces.crs_wkt)
         yield raster.created(self._options.output, stack, descriptions=labels, unit="m", **heights)
@@ -264,7 +265,7 @@ class _Work:
                 self._options.changed, frame, descriptions=names, nodata=0, overviews="NEAREST", **more
             )
 
-    def _layers(self, block: _Block) -> Iterator[Sequence[Any]]:
+    def _layers(self, block: _Block) -> Iterator[Sequence[AnyArray]]:
         """The bands of each raster in a block."""
         yield list(block.heights)
         yield [np.where(block.signs > 0, GAIN, np.where(block.signs < 0, LOSS, 0)).astype(np.uint8)]
@@ -317,7 +318,7 @@ class _Work:
             write_table(self._options.table, self._series, found)
         return found
 
-    def _shapes(self, progress: Progress) -> Tuple[Any, List[str], List[bytes]]:
+    def _shapes(self, progress: Progress) -> Tuple[Union[Areas, Outlines], List[str], List[bytes]]:
         """The areas, their names and outlines."""
         areas = self._surfaces.areas
         if isinstance(areas, Areas):

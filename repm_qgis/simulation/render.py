@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Callable, Iterator, List, Optional, Sequence, Tuple, Union
+from typing import Callable, Iterator, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
 from numpy.typing import NDArray
@@ -216,7 +216,7 @@ def _coarse_maxima(ceiling: FloatImage, side: int) -> FloatImage:
 
 def _ray_splines(
     surface: SimulatedSurface, view: PushbroomView, heights: Sequence[float], across_px: int, along_px: int
-) -> List[Tuple[Any, ...]]:
+) -> List[Tuple[RectBivariateSpline, ...]]:
     """For each height, splines f(rows, cols) of the grid column and row where a view's pixels see that height, with
     nodes so many px apart."""
 

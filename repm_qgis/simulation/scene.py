@@ -12,13 +12,14 @@ import json
 import math
 import os
 from dataclasses import dataclass, replace
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
 from osgeo import gdal, osr
 
 from .. import __version__
 from ..contracts.arrays import Altitudes, Bounds, FloatArray
+from ..contracts.documents import JsonObject
 from ..contracts.errors import OptionError
 from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import RasterFrame, created
@@ -217,7 +218,7 @@ def _record(
     surface: SimulatedSurface,
     gcps: Sequence[Gcp],
     gcp_noise_px: float,
-) -> Dict[str, Any]:
+) -> Dict[str, object]:
     """The content of truth.json."""
     low, high = surface.height_range()
     return {
@@ -249,7 +250,7 @@ def _record(
 
 def make_scene(
     spec: SceneSpec, folder: str, progress: Progress, parameters: SimulationParameters = SIMULATION
-) -> Dict[str, Any]:
+) -> JsonObject:
     """Simulate a scene and write it into a folder.
 
     Returns ``folder``, ``images`` (paths), ``truth``, ``gcps`` (paths) and ``rpc_fit_max_px``, the largest deviation of

@@ -6,9 +6,10 @@ Plain roofs and fields have little texture. The numbers below are the sizes and 
 from __future__ import annotations
 
 import math
-from typing import Any, Optional, Tuple
+from typing import Optional, Tuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..contracts.arrays import FloatArray, Mask
 from ..runtime.progress import Progress
@@ -229,7 +230,7 @@ class Town:
         stack = (np.abs(along - chimney * length) < 0.5) & (np.abs(across - 0.3 * width) < 0.5)
         self._put(area, inside, np.where(stack, height + 1.6, height), np.where(stack, 0.33, tone))
 
-    def _put(self, area: Area, inside: Mask, height: Any, tone: Any) -> None:
+    def _put(self, area: Area, inside: Mask, height: ArrayLike, tone: ArrayLike) -> None:
         """Raise the ground to a building's roof where it stands."""
         ground = self._ground
         ground.height[area] = np.where(inside, height, ground.height[area])

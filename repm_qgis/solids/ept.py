@@ -25,7 +25,8 @@ import numpy as np
 import pyproj
 from numpy.typing import NDArray
 
-from ..contracts.arrays import FloatArray, IntArray
+from ..contracts.arrays import AnyArray, FloatArray, IntArray
+from ..contracts.documents import JsonObject
 from ..contracts.errors import EmptyResultError, WorkspaceError
 from ..files.las import laz_backend, required_laspy
 from ..runtime.progress import Progress, Silent
@@ -33,7 +34,7 @@ from ..runtime.workspace import cannot_write, whole_folder
 from .derived import FinishedDsm
 from .parameters import SOLIDS, EptParameters
 
-Points = NDArray[Any]
+Points = AnyArray
 """Records of the type ``_RECORD`` or ``_COLOURED``."""
 Codes = NDArray[np.uint64]
 """Morton codes."""
@@ -113,15 +114,15 @@ class _Statistics:
             self.squares[axis] += (values * values).sum()
         self.count += len(points)
 
-    def schema(self, cube: _Cube) -> List[Dict[str, Any]]:
+    def schema(self, cube: _Cube) -> List[Dict[str, object]]:
         corner = [*cube.metres(cube.corner), 0.0, 0.0, 0.0, 0.0]
         mean = self.total / self.count
         variance = np.maximum(self.squares / self.count - mean * mean, 0.0)
-        dimensions: List[Dict[str, Any]] = []
+        dimensions: List[Dict[str, object]] = []
         for axis, name in enumerate(_DIMENSIONS):
             if not np.isfinite(self.low[axis]):
                 continue
-            entry: Dict[str, Any] = {"name": name, "type": "unsigned", "size": 2}
+            entry: Dict[str, object] = {"name": name, "type": "unsigned", "size": 2}
             if name in "XYZ":
                 entry.update({"type": "signed", "size": 4, "scale": cube.scale, "offset": float(cube.offset[axis])})
             ends = {"minimum": self.low[axis], "maximum": self.high[axis], "mean": mean[axis]}
@@ -192,7 +193,7 @@ def require_ept_place(path: str) -> None:
         raise WorkspaceError(f"The folder '{folder}' {reason}: choose a new or empty folder for EPT.")
 
 
-def _chunks(reader: Any, kind: "np.dtype[Any]", count: int) -> Iterator[Points]:
+def _chunks(reader: Any, kind: "np.dtype[np.void]", count: int) -> Iterator[Points]:
     for points in reader.chunk_iterator(count):
         records = np.empty(len(points), kind)
         for axis, name in enumerate("XYZ"):
@@ -211,7 +212,7 @@ class _Tree:
     """
 
     def __init__(
-        self, cube: _Cube, kind: "np.dtype[Any]", folder: Path, progress: Progress, parameters: EptParameters
+        self, cube: _Cube, kind: "np.dtype[np.void]", folder: Path, progress: Progress, parameters: EptParameters
     ) -> None:
         self._cube, self._kind, self._folder, self._progress, self._p = cube, kind, folder, progress, parameters
         self._parts_folder = folder / "parts"
@@ -294,9 +295,9 @@ class _Tree:
     def describe(self, crs: str, ends: Sequence[IntArray]) -> EptFacts:
         """Write the hierarchy and ``ept.json``, the last file."""
         cube, points = self._cube, self._statistics.count
-        counts = dict(sorted(self._hierarchy.items(), key=lambda item: tuple(map(int, item[0].split("-")))))
+        counts: JsonObject = dict(sorted(self._hierarchy.items(), key=lambda item: tuple(map(int, item[0].split("-")))))
         _write_json(self._folder / "ept-hierarchy" / "0-0-0-0.json", counts)
-        about: Dict[str, Any] = {"version": "1.0.0", "dataType": "laszip", "hierarchyType": "json"}
+        about: Dict[str, object] = {"version": "1.0.0", "dataType": "laszip", "hierarchyType": "json"}
         about.update(span=1 << _SPAN_BITS, points=points)
         about["bounds"] = cube.metres(cube.corner) + cube.metres(cube.corner + (1 << cube.bits))
         about["boundsConforming"] = cube.metres(ends[0]) + cube.metres(ends[1])
@@ -374,7 +375,7 @@ def _append(path: Path, points: Points) -> None:
         stream.write(points.tobytes())
 
 
-def _read_chunks(path: Path, kind: "np.dtype[Any]", count: int) -> Generator[Points, None, None]:
+def _read_chunks(path: Path, kind: "np.dtype[np.void]", count: int) -> Generator[Points, None, None]:
     with open(path, "rb") as stream:
         while len(points := np.fromfile(stream, kind, count)):
             yield points
@@ -398,7 +399,7 @@ def _write_node(path: str, points: Points, cube: _Cube) -> None:
         writer.write_points(records)
 
 
-def _write_json(path: Path, document: Dict[str, Any]) -> None:
+def _write_json(path: Path, document: Dict[str, object]) -> None:
     path.write_text(json.dumps(document, indent=1, allow_nan=False), encoding="utf-8")
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import struct
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
@@ -83,7 +83,7 @@ def _bounds(surface: Surface, origin: FloatArray) -> Tuple[List[float], List[flo
     return [float(value) for value in low], [float(value) for value in high]
 
 
-def _document(extras: Dict[str, Any], ends: Tuple[List[float], List[float]], sizes: List[int]) -> bytes:
+def _document(extras: Dict[str, object], ends: Tuple[List[float], List[float]], sizes: List[int]) -> bytes:
     """The JSON part of the file; ``sizes`` are bytes of positions, places in the picture, triangles and picture."""
     starts = [sum(sizes[:n]) for n in range(4)]
     kinds: List[Optional[int]] = [_ARRAY, _ARRAY, _ELEMENTS, None]
@@ -93,19 +93,19 @@ def _document(extras: Dict[str, Any], ends: Tuple[List[float], List[float]], siz
         for n in used
     ]
     vertices = sizes[0] // _POSITION
-    accessors: List[Dict[str, Any]] = [
+    accessors: List[Dict[str, object]] = [
         {"bufferView": 0, "componentType": _FLOAT, "count": vertices, "type": "VEC3", "min": ends[0], "max": ends[1]}
     ]
     attributes = {"POSITION": 0}
-    matt: Dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 1}
-    document: Dict[str, Any] = {"asset": {"version": "2.0", "generator": "REPM", "extras": extras}}
+    matt: Dict[str, object] = {"metallicFactor": 0, "roughnessFactor": 1}
+    document: Dict[str, object] = {"asset": {"version": "2.0", "generator": "REPM", "extras": extras}}
     if sizes[3]:
         accessors.append({"bufferView": 1, "componentType": _FLOAT, "count": vertices, "type": "VEC2"})
         attributes["TEXCOORD_0"] = 1
         matt["baseColorTexture"] = {"index": 0}
         document.update(textures=[{"source": 0, "sampler": 0}], samplers=[{"wrapS": 33071, "wrapT": 33071}])
         document["images"] = [{"bufferView": used.index(3), "mimeType": "image/jpeg"}]
-    primitive: Dict[str, Any] = {"attributes": attributes, "material": 0}
+    primitive: Dict[str, object] = {"attributes": attributes, "material": 0}
     if sizes[2]:
         view, count = used.index(2), sizes[2] // 4
         accessors.append({"bufferView": view, "componentType": _UINT, "count": count, "type": "SCALAR"})
@@ -125,7 +125,7 @@ def _document(extras: Dict[str, Any], ends: Tuple[List[float], List[float]], siz
     return _padded(json.dumps(document).encode("ascii"), b" ")
 
 
-def _extras(surface: Surface, origin: FloatArray) -> Dict[str, Any]:
+def _extras(surface: Surface, origin: FloatArray) -> Dict[str, object]:
     heights = surface.dataset.GetMetadataItem(TAG) or ELLIPSOID
     return {
         "origin": [float(value) for value in origin],

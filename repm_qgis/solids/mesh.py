@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any, Optional
+from typing import Optional
 
 import numpy as np
-from numpy.typing import NDArray
 from osgeo import gdal
 
-from ..contracts.arrays import FloatArray, IntArray
+from ..contracts.arrays import AnyArray, FloatArray, IntArray
 from ..contracts.errors import EmptyResultError
 from ..contracts.file_kinds import is_textured
 from ..contracts.options import require_mesh
@@ -112,7 +111,7 @@ def _header(dataset: gdal.Dataset, vertices: int, faces: int, coloured: bool) ->
     return ply.header(dataset.GetProjection(), dataset.GetMetadataItem(TAG) or ELLIPSOID, elements)
 
 
-def _faces(corners: IntArray) -> NDArray[Any]:
+def _faces(corners: IntArray) -> AnyArray:
     faces = np.empty(len(corners), _FACE)
     faces["corners"], faces["vertices"] = 3, corners
     return faces

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Iterator, List, Tuple
+from typing import Iterator, List, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +84,7 @@ def opened_paint(path: str, parameters: PaintingParameters = SOLIDS.painting) ->
         yield Paint(dataset, bands, limits)
 
 
-def _limits(dataset: Any, band: int, parameters: PaintingParameters) -> Tuple[float, float]:
+def _limits(dataset: gdal.Dataset, band: int, parameters: PaintingParameters) -> Tuple[float, float]:
     factor = max(1.0, max(dataset.RasterXSize, dataset.RasterYSize) / parameters.preview_px)
     size = tuple(max(1, round(side / factor)) for side in (dataset.RasterXSize, dataset.RasterYSize))
     values = read(dataset, None, band, (size[0], size[1]))

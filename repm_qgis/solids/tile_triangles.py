@@ -239,7 +239,8 @@ def _smallest(level: Places, heights: FloatImage) -> List[Places]:
     )
     halves = _whole(level[count[number.ravel()] == 1], np.isfinite(heights))
     row, column = place[first[count == 2]].T
-    square, kind = square_triangles(*(heights[row + down, column + right] for down in (0, 1) for right in (0, 1)))
+    a, b, c, d = (heights[row + down, column + right] for down in (0, 1) for right in (0, 1))
+    square, kind = square_triangles(a, b, c, d)
     return [halves, np.stack([row, column], axis=-1)[square][:, None] + TRIANGLES[kind].astype(np.int32)]
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 import os
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Any, Callable, ContextManager, Iterator, Mapping, Optional
+from typing import TYPE_CHECKING, Callable, ContextManager, Iterator, Mapping, Optional
 
 from ..contracts import options as _options
 from ..contracts.errors import MissingPackageError, OptionError
@@ -48,8 +48,8 @@ STAGES: dict[str, type[_options.Options]] = {
 
 @shortage_as_error()
 def run_stage(
-    name: str, options: Mapping[str, Any], progress: Progress, parameters: Optional[EngineParameters] = None
-) -> dict[str, Any]:
+    name: str, options: Mapping[str, object], progress: Progress, parameters: Optional[EngineParameters] = None
+) -> dict[str, object]:
     """Run a stage by name with options as a JSON object, and give its results as a JSON object.
 
     ``parameters`` are for studies of the pipeline and its stages, which keep what differs from the defaults in their
@@ -63,7 +63,7 @@ def run_stage(
         return _run(name, options, progress, parameters)
 
 
-def _texts(options: Any) -> Iterator[str]:
+def _texts(options: object) -> Iterator[str]:
     """All texts of a job: some of them are paths that the user has named."""
     if isinstance(options, str):
         yield options
@@ -76,8 +76,8 @@ def _texts(options: Any) -> Iterator[str]:
 
 
 def _run(
-    name: str, options: Mapping[str, Any], progress: Progress, parameters: Optional[EngineParameters]
-) -> dict[str, Any]:
+    name: str, options: Mapping[str, object], progress: Progress, parameters: Optional[EngineParameters]
+) -> dict[str, object]:
     if name not in STAGES:
         raise OptionError("stage", name, f"must be one of {', '.join(STAGES)}")
     checked = STAGES[name].from_json(options)
@@ -90,7 +90,7 @@ def _run(
         require_sensible(checked)
     else:
         require_sensible(checked, parameters)
-    run: Callable[..., dict[str, Any]] = importlib.import_module(f"{__name__}.{name}").run
+    run: Callable[..., dict[str, object]] = importlib.import_module(f"{__name__}.{name}").run
     folders, files = _written(name, checked)
     with exclusive(name, progress, folders, files), _workers_for(name, checked, progress):
         return run(checked, progress) if parameters is None else run(checked, progress, parameters)

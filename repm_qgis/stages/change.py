@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict
+from typing import Dict
 
 from ..change.finding import Found, find_changes
 from ..change.page import change_page
@@ -15,16 +15,16 @@ from ..runtime.parallel import run_whole
 from ..runtime.progress import Part, Progress, counted
 
 
-def run(options: ChangeOptions, progress: Progress) -> Dict[str, Any]:
+def run(options: ChangeOptions, progress: Progress) -> Dict[str, object]:
     """Compare the dates; see :mod:`repm_qgis.change.detection` for what is significant.
 
     Raises ImageError, OverlapError, OptionError, EmptyResultError, WorkspaceError.
     """
-    result: Dict[str, Any] = run_whole(_changed, options, progress, "comparing two dates")
+    result: Dict[str, object] = run_whole(_changed, options, progress, "comparing two dates")
     return result
 
 
-def _changed(options: ChangeOptions, progress: Progress) -> Dict[str, Any]:
+def _changed(options: ChangeOptions, progress: Progress) -> Dict[str, object]:
     found = find_changes(options, Part(progress, 0.0, 0.9))
     for text in found.warnings:
         progress.warn(text)

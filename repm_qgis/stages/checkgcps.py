@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 from osgeo import ogr
 
+from ..contracts.documents import JsonObject
 from ..contracts.errors import EmptyResultError, InputTableError
 from ..contracts.options import CheckGcpsOptions
 from ..evaluation.gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy, measure_dsm, measure_images
-from ..files.vector import file_and_layer, write_layer
+from ..files.vector import Features, file_and_layer, write_layer
 from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import opened
 from ..names import scene_title, surface_title
@@ -25,7 +26,7 @@ from .errormap import error_at
 _SHORT = {"east": "e", "north": "n", "height": "h"}
 
 
-def run(options: CheckGcpsOptions, progress: Progress) -> Dict[str, Any]:
+def run(options: CheckGcpsOptions, progress: Progress) -> JsonObject:
     """Measure; see :mod:`repm_qgis.evaluation.gcp_accuracy` for what the errors mean.
 
     Gives ``{column}_medae``, ``_rmse``, ``_le90`` and ``_max`` of the heights and the ``_ce90`` of the positions (m)
@@ -81,8 +82,8 @@ def _measure_images(scene: Scene, found: GcpAccuracy, options: CheckGcpsOptions)
         found.warnings.append(f"No point of '{options.gcps}' was measured in an image: only the DSM is checked.")
 
 
-def _numbers(found: GcpAccuracy) -> Dict[str, Any]:
-    numbers: Dict[str, Any] = {"components": {}}
+def _numbers(found: GcpAccuracy) -> JsonObject:
+    numbers: JsonObject = {"components": {}}
     for column in found.errors:
         for component in COMPONENTS:
             errors = found.summary(column, component)
@@ -133,7 +134,7 @@ def _write_points(scene: Optional[Scene], found: GcpAccuracy, path: str) -> None
         fields[f"{column}_px"] = float
     fields.update(dsm_height=float, dsm_error=float, shown=str, east=float, north=float, height_error=float)
 
-    def features() -> Any:
+    def features() -> Features:
         for row, (x, y) in enumerate(projected_from_geodetic(crs, places)):
             point = ogr.Geometry(ogr.wkbPoint)
             point.AddPoint_2D(float(x), float(y))
@@ -175,10 +176,10 @@ def _camera_px(scene: Optional[Scene], gcp: Gcp, place: Tuple[float, float]) -> 
     return max(errors, default=None)
 
 
-def _values(found: GcpAccuracy, row: int, camera_px: Optional[float]) -> List[Any]:
+def _values(found: GcpAccuracy, row: int, camera_px: Optional[float]) -> List[object]:
     gcp: Gcp = found.gcps[row]
     views = ", ".join(sorted(gcp.pixels))
-    values: List[Any] = [gcp.id, gcp.role, int(gcp.id in found.wrong), gcp.height, views, camera_px]
+    values: List[object] = [gcp.id, gcp.role, int(gcp.id in found.wrong), gcp.height, views, camera_px]
     for column in ("rpc", "compensated", "scene"):
         values += [*_known(found, column, row), _pixels(found, column, row)]
     shown = _shown(found)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from contextlib import ExitStack
-from typing import Any, Dict, Tuple
+from typing import ContextManager, Tuple
 
 import numpy as np
 from osgeo import gdal
 
+from ..contracts.documents import JsonObject
 from ..contracts.file_kinds import is_cloud
 from ..contracts.options import CompareDsmOptions
 from ..evaluation.clouds import raster_of_cloud
@@ -24,17 +25,17 @@ from ..runtime.parallel import run_whole
 from ..runtime.progress import Part, Progress
 
 
-def run(options: CompareDsmOptions, progress: Progress) -> Dict[str, Any]:
+def run(options: CompareDsmOptions, progress: Progress) -> JsonObject:
     """Compare; see :mod:`repm_qgis.evaluation.metrics` for what the numbers mean, and
     :mod:`repm_qgis.evaluation.coregistration` for the sign of dx, dy, dz (metres to add to the DSM).
 
     Raises ImageError, InputTableError, OverlapError, EmptyResultError, WorkspaceError.
     """
-    result: Dict[str, Any] = run_whole(_all_compared, options, progress, "comparing with the reference")
+    result: JsonObject = run_whole(_all_compared, options, progress, "comparing with the reference")
     return result
 
 
-def _all_compared(options: CompareDsmOptions, progress: Progress) -> Dict[str, Any]:
+def _all_compared(options: CompareDsmOptions, progress: Progress) -> JsonObject:
     paths = [options.dsm, *options.others]
     ends = [0.9 * i / len(paths) for i in range(len(paths) + 1)]
     found = [_compared(options, path, Part(progress, low, high)) for path, low, high in zip(paths, ends, ends[1:])]
@@ -101,13 +102,13 @@ def _rasters(stack: ExitStack, dsm: str, reference: str, progress: Progress) -> 
     return opened[dsm], opened[reference]
 
 
-def _error_raster(path: str, reference: gdal.Dataset) -> Any:
+def _error_raster(path: str, reference: gdal.Dataset) -> ContextManager[raster.RasterWriter]:
     grid = Grid.of(reference)
     frame = raster.RasterFrame(grid.size[::-1], np.float32, 1, grid.transform, reference.GetProjection())
     return raster.created(path, frame, descriptions=["DSM - reference"], unit="m", cog=True)
 
 
-def _accuracy(metrics: HeightMetrics) -> Dict[str, Any]:
+def _accuracy(metrics: HeightMetrics) -> JsonObject:
     """Figures of one set of cells; None where there is none to compare (JSON knows no NaN)."""
     values = {name: getattr(metrics, name) for name in ("rmse", "medae", "mae", "nmad", "le90", "bias")}
     return {
@@ -119,6 +120,6 @@ def _accuracy(metrics: HeightMetrics) -> Dict[str, Any]:
     }
 
 
-def _figures(found: Comparison) -> Dict[str, Any]:
+def _figures(found: Comparison) -> JsonObject:
     a = found.alignment
     return {**_accuracy(found.metrics), "dx": a.dx, "dy": a.dy, "dz": a.dz}

@@ -10,8 +10,9 @@ from dataclasses import replace
 from functools import partial
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, Iterator, List, Optional, Tuple
+from typing import Callable, Dict, Iterable, Iterator, List, Optional, Tuple
 
+from ..contracts.documents import JsonObject, Keywords
 from ..contracts.errors import EmptyResultError, ImageError, OptionError, SceneError
 from ..contracts.file_kinds import is_textured
 from ..contracts.options import DsmFuseOptions, ViewerOptions
@@ -54,7 +55,7 @@ _DRAPED = ("ortho", "confidence")
 _ORTHO, _POINTS = 0.25, 0.2  # of the time that the DSM takes, for the orthophoto and for the points of a cloud
 
 
-def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
+def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> JsonObject:
     """Grid, aggregate, filter and write; gives the products' paths and the share of valid cells."""
     start = time.monotonic()
     scene = reconstructed(options.scene)
@@ -337,7 +338,7 @@ def _alone(fusion: Fusion, pair: Tuple[str, str]) -> Fusion:
     # Without the DEM, which all pairs together are compared with.
     scene, layout = replace(fusion.scene, tiles=tiles, dem=""), replace(fusion.layout, windows=windows)
     place = ensure_folder(str(fusion.options.view_heights)) / re.sub(r"[^\w.-]", "_", "_".join(pair))
-    made = {**not_requested("dsmfuse"), "output": f"{place}.tif", "confidence": f"{place}_confidence.tif"}
+    made: Keywords = {**not_requested("dsmfuse"), "output": f"{place}.tif", "confidence": f"{place}_confidence.tif"}
     options = replace(fusion.options, fill="none", water="keep", **made)
     return Fusion.in_folder(fusion.folder.parent, options, fusion.parameters, scene, layout)
 

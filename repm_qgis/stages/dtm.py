@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack
-from typing import Any, Callable, Dict, List, Sequence, Tuple
+from typing import Callable, Dict, List, Sequence, Tuple, TypeVar
 
 import numpy as np
 
@@ -26,6 +26,8 @@ from . import dsmfuse
 from .parameters import ENGINE, EngineParameters
 
 _FUSION_SHARE = 0.5  # of the progress, where the DSM is made of a scene
+T = TypeVar("T")
+R = TypeVar("R")
 _RASTERS = {  # option: the name of the band, and its unit
     "output": ("height of the terrain (m)", "m"),
     "heights": ("height above the terrain (m)", "m"),
@@ -33,7 +35,7 @@ _RASTERS = {  # option: the name of the band, and its unit
 }
 
 
-def run(options: DtmOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
+def run(options: DtmOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, object]:
     """Find the ground, and write the terrain and the objects on it; gives the products' paths and shares of cells.
 
     Raises ImageError for a DSM or a confidence raster that cannot be used, SceneError for such a scene,
@@ -69,7 +71,7 @@ def _made(
     progress: Recorder,
     share: float,
     parameters: EngineParameters,
-) -> Dict[str, Any]:
+) -> Dict[str, object]:
     search = blocks.Search(surface, options.largest, options.slope / 100.0, parameters.terrain)
     columns, rows = surface.size
     progress.info(
@@ -83,7 +85,7 @@ def _made(
     work = Work("a block of the DSM", mib, lambda _: "choose a smaller LARGEST")
     workers = workers_within(options.workers, work, options.memory, progress)
 
-    def step(low: float, high: float, text: str, make: Callable[..., Any], tasks: Sequence[Any]) -> List[Any]:
+    def step(low: float, high: float, text: str, make: Callable[[T], R], tasks: Sequence[T]) -> List[R]:
         part = Part(progress, share + (1 - share) * low, share + (1 - share) * high)
         return run_tasks(make, tasks, workers, part, lambda task: text)
 
@@ -100,7 +102,7 @@ def _made(
         blocks.FinishTask(own, wide, search, before.part(wide, level), coarse.part(wide, level), f"{folder}/{i}.npz")
         for i, (own, wide) in enumerate(finished)
     ]
-    made: List[blocks.Block] = step(0.7, 0.9, "making the terrain", blocks.make_block, last)
+    made = step(0.7, 0.9, "making the terrain", blocks.make_block, last)
     paths = {name: getattr(options, name) for name in _RASTERS if getattr(options, name)}
     run_whole(_write, (paths, surface, made), Part(progress, 0.9, 0.97), "writing the terrain")
     known, objects, terrain = (sum(getattr(block, name) for block in made) for name in ("known", "objects", "terrain"))

@@ -10,11 +10,12 @@ import json
 import os
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
 from ..contracts.checks import as_text
+from ..contracts.documents import JsonObject, Keywords
 from ..contracts.options import EditDsmOptions
 from ..contracts.products import product
 from ..editing.apply import Surface
@@ -37,7 +38,7 @@ from ..terrain.inputs import surface_of
 _COPIED = 0.4  # of the progress
 
 
-def run(options: EditDsmOptions, progress: Progress, parameters: EditingParameters = EDITING) -> Dict[str, Any]:
+def run(options: EditDsmOptions, progress: Progress, parameters: EditingParameters = EDITING) -> JsonObject:
     """Copy the DSM, apply the edits that are enabled, and write the result.
 
     Raises ImageError for a DSM or a confidence raster that cannot be used, InputTableError for an invalid record,
@@ -54,7 +55,7 @@ def run(options: EditDsmOptions, progress: Progress, parameters: EditingParamete
     counts: List[int] = []
     with ExitStack() as stack:
         frame = raster.RasterFrame(surface.size[::-1], np.float32, 1, surface.transform, surface.crs)
-        facts: Dict[str, Any] = {"metadata": tags, "cog": True, "compress": False}
+        facts: Keywords = {"metadata": tags, "cog": True, "compress": False}
         name = f"height above the {surface.datum.name} (m)" if surface.datum else "height (m)"
         heights = stack.enter_context(raster.created(options.output, frame, descriptions=(name,), unit="m", **facts))
         confidence: Optional[Tuple[raster.RasterWriter, int, ConfidenceBands]] = None

@@ -6,9 +6,10 @@ from __future__ import annotations
 import os
 import tempfile
 from contextlib import suppress
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Dict, List, Optional, Tuple
 
 from .. import __version__
+from ..contracts.documents import JsonObject
 from ..contracts.errors import OptionError, WorkspaceError
 from ..contracts.options import EnvironmentOptions
 from ..installer.interpreter import base_program
@@ -18,7 +19,7 @@ from ..runtime.packages import PACKAGES
 from ..runtime.progress import Progress
 
 
-def run(options: EnvironmentOptions, progress: Progress) -> Dict[str, Any]:
+def run(options: EnvironmentOptions, progress: Progress) -> JsonObject:
     """Look around, say what is missing, and write the report if one is asked for; gives the findings too."""
     if options.install or options.remove:
         return _changed(options, progress)
@@ -36,7 +37,7 @@ def run(options: EnvironmentOptions, progress: Progress) -> Dict[str, Any]:
     return {**found, "report": options.report}
 
 
-def _changed(options: EnvironmentOptions, progress: Progress) -> Dict[str, Any]:
+def _changed(options: EnvironmentOptions, progress: Progress) -> JsonObject:
     """Make, renew or remove the engine's own environment."""
     from ..installer import environments
     from ..installer.install import install, log_of
@@ -56,7 +57,7 @@ def _changed(options: EnvironmentOptions, progress: Progress) -> Dict[str, Any]:
     return {"folder": options.folder}
 
 
-def _by_remedy(found: Dict[str, Any]) -> List[Tuple[str, str]]:
+def _by_remedy(found: JsonObject) -> List[Tuple[str, str]]:
     """What is missing, "a: for this; b: for that", with what installs it."""
     named: Dict[str, List[str]] = {}
     for entry in found["missing"]:
@@ -64,7 +65,7 @@ def _by_remedy(found: Dict[str, Any]) -> List[Tuple[str, str]]:
     return [("; ".join(names), remedy) for remedy, names in named.items()]
 
 
-def _report(found: Dict[str, Any]) -> Report:
+def _report(found: JsonObject) -> Report:
     page = Report("Environment", f"REPM {__version__} on {found['platform']}")
     page.section("Missing")
     if not found["missing"]:
@@ -96,13 +97,13 @@ def _report(found: Dict[str, Any]) -> Report:
     return page
 
 
-def _cuda(found: Dict[str, Any]) -> str:
+def _cuda(found: JsonObject) -> str:
     devices = "; ".join(found["devices"]) or "no CUDA device answers"
     used, built = "usable" if found["usable"] else "not used", "with" if found["built"] else "without"
     return f"{used} ({devices}; pycolmap was built {built} it)"
 
 
-def _proj(page: Report, found: Optional[Dict[str, Any]]) -> None:
+def _proj(page: Report, found: Optional[JsonObject]) -> None:
     page.section("PROJ")
     if found is None:
         page.paragraph("pyproj is missing.")

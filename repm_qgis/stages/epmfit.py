@@ -8,7 +8,7 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
@@ -18,7 +18,7 @@ from ..contracts.arrays import Altitudes, Bounds, Window
 from ..contracts.errors import OptionError, OverlapError
 from ..contracts.options import EpmFitOptions, Extent
 from ..files.vector import write_layer
-from ..geometry.equivalent_error import fit_pinhole, refine_pinhole, virtual_grid
+from ..geometry.equivalent_error import VirtualGrid, fit_pinhole, refine_pinhole, virtual_grid
 from ..geometry.footprints import bounds_of, box, footprint, seen_twice
 from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs_at, projected_from_geodetic, utm_crs
 from ..geometry.parameters import VIRTUAL_GRID
@@ -56,7 +56,7 @@ from .parameters import ENGINE, EngineParameters, TileParameters
 _MOST_NAMED = 12  # images that the log names one by one
 
 
-def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
+def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, object]:
     """Read the RPCs, find area and altitudes, lay tiles, fit cameras; gives the scene, the TILES layer, the report."""
     start = time.monotonic()
     options = with_images(options, progress)
@@ -310,7 +310,7 @@ def _automatic_size(
     return size
 
 
-def fit_tile(scene: Scene, ground: GroundTile) -> Tuple[Tile, List[Any]]:
+def fit_tile(scene: Scene, ground: GroundTile) -> Tuple[Tile, List[VirtualGrid]]:
     """Cameras of all views that see a tile, with the virtual grids they were fitted to."""
     views, grids, to_geodetic = {}, [], partial(geodetic_from_projected, scene.crs)
     for view in scene.views:
@@ -359,7 +359,7 @@ def write_tiles(scene: Scene, path: str) -> None:
     rows = []
     for tile in scene.tiles:
         errors = [view.error for view in tile.views.values()]
-        values: List[Any] = [tile.id, max(e.rmse for e in errors), max(e.max for e in errors)]
+        values: List[object] = [tile.id, max(e.rmse for e in errors), max(e.max for e in errors)]
         for name, view in tile.views.items():
             values += [name, view.error.samp_rmse, view.error.line_rmse, view.error.rmse, view.error.max]
         rows.append((box(tile.bounds), values))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any, Dict, Tuple
+from typing import Dict, Tuple
 
 import numpy as np
 import pyproj
@@ -28,7 +28,7 @@ _NODE_STEP = 8  # cells between exact errors; the error is smooth
 _LEVELS = 5
 
 
-def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, Any]:
+def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, object]:
     """Write the error map (four bands), its style and the report; gives RMSE and maximum at the altitude, px."""
     start = time.monotonic()
     scene = Scene.load(options.scene)

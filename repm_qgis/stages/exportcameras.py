@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 
@@ -26,7 +26,7 @@ _MARK = "repm-cameras"
 _FRAME_FILE = "frame.json"
 
 
-def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, Any]:
+def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, object]:
     """Export the tiles; gives the folder, the models' folders in it, and how many images they hold."""
     written_as = FORMATS[options.format]
     written_as.require()
@@ -128,7 +128,7 @@ def _write_model(
         write_text(str(folder / _FRAME_FILE), json.dumps(_frame(model, images, options), indent=1, allow_nan=False))
 
 
-def _frame(model: TileModel, images: Tuple[str, ...], options: ExportCamerasOptions) -> Dict[str, Any]:
+def _frame(model: TileModel, images: Tuple[str, ...], options: ExportCamerasOptions) -> Dict[str, object]:
     """Where the cameras' world lies on the Earth, and the file of each image."""
     origin, ecef = model.frame.to_mapping(), model.frame.ecef_from_enu.tolist()
     return {

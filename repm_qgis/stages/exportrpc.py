@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, Dict, List
+from typing import Dict, List
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from ..scene import Scene, View
 _LIST = "rpcs.json"
 
 
-def run(options: ExportRpcOptions, progress: Progress) -> Dict[str, Any]:
+def run(options: ExportRpcOptions, progress: Progress) -> Dict[str, object]:
     """Export the RPCs; gives the folder, the VRTs as ``images``, and the largest distance from the pointed model, px.
 
     Raises SceneError, ImageError, RpcInvalidError, WorkspaceError.
@@ -88,7 +88,7 @@ def _write(exported: ExportedRpc, folder: Path, place: str) -> None:
         write_text(str(folder / name), text)
 
 
-def _record(exported: ExportedRpc) -> Dict[str, Any]:
+def _record(exported: ExportedRpc) -> Dict[str, object]:
     made = exported.corrected
     return {
         "view": exported.view.name,

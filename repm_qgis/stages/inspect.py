@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import os
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
 from osgeo import ogr
 
 from ..contracts.errors import Cancelled, ImageError, RepmError
 from ..contracts.options import InspectOptions
-from ..files.vector import write_layer
+from ..files.vector import Features, write_layer
 from ..geometry.footprints import geometry_of, reprojected
 from ..imagery.deliveries import with_images
 from ..names import images_name
@@ -25,7 +25,7 @@ from .parameters import ENGINE, EngineParameters
 _GEODETIC = "EPSG:4326"
 
 
-def run(options: InspectOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
+def run(options: InspectOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, object]:
     """Read RPCs and times, and write both layers and the page; gives them with the numbers of images and pairs.
 
     An image that cannot be used is named in a warning and on the page, and does not stop the others. Raises ImageError
@@ -116,7 +116,7 @@ def _write_footprints(places: Sequence[Place], crs: str, path: str) -> None:
     numbers = ("gsd", "incidence", "azimuth", "sun_azimuth", "sun_elevation", "altitude")
     fields: Dict[str, type] = {**texts, "width": int, "height": int, **dict.fromkeys(numbers, float)}
 
-    def features() -> Any:
+    def features() -> Features:
         for place in places:
             for facts in place.images:
                 view, sun = facts.view, facts.sun or (None, None)
@@ -135,7 +135,7 @@ def _write_overlaps(places: Sequence[Place], crs: str, path: str) -> None:
     numbers = ("area_km2", "percent", "angle", "base_to_height", "days", "sun_angle")
     fields: Dict[str, type] = {**texts, "matched": int, **dict.fromkeys(numbers, float)}
 
-    def features() -> Any:
+    def features() -> Features:
         for place in places:
             for facts in reversed(place.pairs):  # the best is drawn last, on top of the others
                 pair, area = facts.pair, facts.ground.GetArea() / 1e6

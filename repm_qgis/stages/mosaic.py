@@ -7,13 +7,14 @@ import os
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Sequence
+from typing import Dict, List, Optional, Sequence
 
 import numpy as np
 import pyproj
 
 from ..contracts.arrays import IntArray
 from ..contracts.checks import as_text
+from ..contracts.documents import JsonObject, Keywords
 from ..contracts.errors import EmptyResultError, ImageError, OverlapError
 from ..contracts.options import DsmFuseOptions, MosaicOptions
 from ..contracts.paths import real_path
@@ -52,7 +53,7 @@ _FEW = 5  # pairs that a warning names
 _FUSION_SHARE = 0.6  # of the progress, where all surfaces are scenes
 
 
-def run(options: MosaicOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
+def run(options: MosaicOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> JsonObject:
     """Fuse the scenes, solve the offsets, make the mosaic block by block, and write it; gives the offsets and the
     products' paths.
 
@@ -68,7 +69,7 @@ def run(options: MosaicOptions, progress: Progress, parameters: EngineParameters
         return _run(options, str(ensure_folder(str(folder))), progress, parameters)
 
 
-def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: EngineParameters) -> Dict[str, Any]:
+def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: EngineParameters) -> JsonObject:
     start, progress = time.monotonic(), Recorder(progress)
     count = len(options.dsms) + len(options.scenes)
     fused = _FUSION_SHARE * len(options.scenes) / count
@@ -161,7 +162,7 @@ def _surfaces(options: MosaicOptions, folder: str, progress: Progress, parameter
         if os.path.exists(dsm) and os.path.exists(confidence):
             part.info(f"Reused the DSM of '{path}' that an earlier run had finished.")
         else:
-            cells: Dict[str, Any] = {"resolution": options.resolution, "crs": options.crs}
+            cells: Keywords = {"resolution": options.resolution, "crs": options.crs}
             if layout:
                 cells = {"resolution": layout.grid.cell, "crs": options.crs or _crs_text(layout)}
             cells.update(workers=options.workers, memory=options.memory)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, List, Tuple
+from typing import List, Tuple
 
 from ..contracts.parameters import Parameters
 from ..fusion.parameters import FusionParameters
@@ -65,7 +65,7 @@ class EngineParameters(Parameters):
         # A third pair for each view takes another third of the CPU and gains nothing with 19 views.
         return replace(self, matching=replace(matching, sgm=matching.sgm.in_eight_directions()))
 
-    def in_fingerprint(self) -> List[Any]:
+    def in_fingerprint(self) -> List[object]:
         """The part of the parameters that is in a fingerprint: only changes from the defaults."""
         changes = self.changes()
         return [changes] if changes else []

@@ -5,11 +5,12 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Sequence
+from typing import Callable, Dict, List, Sequence
 
 from osgeo import ogr
 
-from ..contracts.options import PRESETS, PipelineOptions
+from ..contracts.documents import JsonObject
+from ..contracts.options import PRESETS, Options, PipelineOptions
 from ..contracts.products import FOLDER, paths_of
 from ..contracts.records import ViewPair
 from ..geometry.footprints import bounds_of
@@ -34,13 +35,13 @@ _SHARES = {"epmfit": 0.15, "refine": 0.2, "reconstruct": 0.85, "register": 0.9, 
 """The progress of the whole at the end of each stage."""
 
 
-def run(options: PipelineOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
+def run(options: PipelineOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> JsonObject:
     """Run all stages; gives every product, and the seconds of each stage."""
     with kept_workers():
         return _run(options, progress, parameters)
 
 
-def _run(options: PipelineOptions, progress: Progress, parameters: EngineParameters) -> Dict[str, Any]:
+def _run(options: PipelineOptions, progress: Progress, parameters: EngineParameters) -> JsonObject:
     if options.preset != "none":
         values = ", ".join(f"{name.upper()} {value}" for name, value in PRESETS[options.preset].items())
         progress.info(f"Preset {options.preset}: {values}, where they are not given.")
@@ -48,7 +49,7 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
     seconds: Dict[str, float] = {}
     begin = 0.0
 
-    def stage(name: str, title: str, work: Callable[..., Dict[str, Any]], own: Any) -> Dict[str, Any]:
+    def stage(name: str, title: str, work: Callable[..., JsonObject], own: Options) -> JsonObject:
         nonlocal begin
         start = time.monotonic()
         part = Part(progress, begin, _SHARES[name], title)

@@ -6,7 +6,7 @@ import os
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
+from typing import Callable, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import ogr
@@ -16,7 +16,7 @@ from ..contracts.errors import EmptyResultError
 from ..contracts.options import ReconstructOptions
 from ..contracts.paths import real_path
 from ..contracts.records import HeightMapRecord, ViewPair
-from ..files.vector import copy_layer, write_layer
+from ..files.vector import Features, copy_layer, write_layer
 from ..fusion.map_offsets import with_agreeing_maps
 from ..imagery.enhancement import Stretch
 from ..imagery.parameters import StretchParameters
@@ -48,7 +48,7 @@ from .refine import refined_tiles, with_surface
 Stretches = Dict[str, Stretch]  # by the views' names
 
 
-def run(options: ReconstructOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
+def run(options: ReconstructOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, object]:
     """Point the views relative to each other, match tiles; gives the scene with height maps, ties, and the folder."""
     start, parameters = time.monotonic(), parameters.of_quality(options.quality)
     backends = resolve(options.backend)
@@ -216,7 +216,7 @@ def _write_ties(scene: Scene, tracks: Sequence[Track], adjusted: Adjustment, xy:
     rows, directions = largest_parallax(scene.views, tracks, adjusted.ground)
     figures = np.column_stack([adjusted.ground[:, 2], adjusted.residual_px, adjusted.before_px, rows, directions])
 
-    def features() -> Any:
+    def features() -> Features:
         for number, (track, (x, y), values) in enumerate(zip(tracks, xy, figures.tolist())):
             point = ogr.Geometry(ogr.wkbPoint)
             point.AddPoint_2D(float(x), float(y))

@@ -6,7 +6,7 @@ import os
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 import pyproj
@@ -31,7 +31,7 @@ from .parameters import ENGINE, EngineParameters
 _BATCH = 32  # tiles of a task that writes no images: starting processes costs as much as the maps of some hundred tiles
 
 
-def run(options: RefineOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
+def run(options: RefineOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, object]:
     """Refine all tiles; gives the refined scene and the report."""
     start = time.monotonic()
     scene = Scene.load(options.scene)

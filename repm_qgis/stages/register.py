@@ -52,7 +52,7 @@ class _Work:
     laid: Tuple[Laid, ...]
 
 
-def run(options: RegisterOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, Any]:
+def run(options: RegisterOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, object]:
     """Register; gives the scenes' paths, the shift (m east, north, up) and its standard deviations.
 
     Raises SceneError for a scene that has no heights, OverlapError for a reference that covers no scene,
@@ -134,7 +134,7 @@ def _key(options: RegisterOptions, scenes: Sequence[Scene], parameters: EnginePa
     return fingerprint("register", made_from, references, stable, chosen, *parameters.in_fingerprint())
 
 
-def _identity(path: str) -> List[Any]:
+def _identity(path: str) -> List[object]:
     """What distinguishes a raster, a table or a cloud from a changed one."""
     file, layer = file_and_layer(path)
     return [layer, file_identity(file), raster_identity(file)]

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+from ..contracts.documents import JsonObject
 from ..contracts.options import SampleDataOptions
 from ..runtime.progress import Progress
 from ..simulation.scene import SceneSpec, make_scene
 
 
-def run(options: SampleDataOptions, progress: Progress) -> dict[str, Any]:
+def run(options: SampleDataOptions, progress: Progress) -> JsonObject:
     """Write the scene into ``options.folder``.
 
     Returns ``folder``, ``images`` (paths), ``truth`` (GeoTIFF), ``gcps`` (CSV) and ``rpc_fit_max_px``, how far the
@@ -17,7 +16,7 @@ def run(options: SampleDataOptions, progress: Progress) -> dict[str, Any]:
     cannot be written.
     """
     spec = SceneSpec.default(options.kind, options.size, options.seed)
-    result = make_scene(spec, options.folder, progress)
+    result: JsonObject = make_scene(spec, options.folder, progress)
     images = f"{len(result['images'])} images of {options.size} x {options.size} px"
     progress.info(f"{images}; the RPCs are within {result['rpc_fit_max_px']:.1e} px of the simulated sensor.")
     return result

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict
+from typing import Dict
 
 from ..contracts.options import SeriesOptions
 from ..contracts.products import paths_of
@@ -15,16 +15,16 @@ from ..series.layers import write_layers
 from ..series.page import series_page
 
 
-def run(options: SeriesOptions, progress: Progress) -> Dict[str, Any]:
+def run(options: SeriesOptions, progress: Progress) -> Dict[str, object]:
     """Follow the surface; see docs/algorithms/series.md for what is significant.
 
     Raises ImageError, OverlapError, OptionError, InputTableError, EmptyResultError, WorkspaceError.
     """
-    result: Dict[str, Any] = run_whole(_followed, options, progress, "following a surface over time")
+    result: Dict[str, object] = run_whole(_followed, options, progress, "following a surface over time")
     return result
 
 
-def _followed(options: SeriesOptions, progress: Progress) -> Dict[str, Any]:
+def _followed(options: SeriesOptions, progress: Progress) -> Dict[str, object]:
     found = find_series(options, Part(progress, 0.0, 0.92))
     for text in found.warnings:
         progress.warn(text)

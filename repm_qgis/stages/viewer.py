@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict
+from typing import Dict
 
 from ..contracts.options import ViewerOptions
 from ..runtime.parallel import run_whole
@@ -10,17 +10,17 @@ from ..runtime.progress import Progress
 from ..viewer.page import write_viewer
 
 
-def run(options: ViewerOptions, progress: Progress) -> Dict[str, Any]:
+def run(options: ViewerOptions, progress: Progress) -> Dict[str, object]:
     """Write the page; gives its path, and how many columns and rows of cells it has.
 
     Raises ImageError, EmptyResultError, OverlapError, MissingPackageError, WorkspaceError.
     """
-    result: Dict[str, Any] = run_whole(written, options, progress, "making the page")
+    result: Dict[str, object] = run_whole(written, options, progress, "making the page")
     progress.step(1.0, "page written")
     return result
 
 
-def written(options: ViewerOptions, progress: Progress, name: str = "") -> Dict[str, Any]:
+def written(options: ViewerOptions, progress: Progress, name: str = "") -> Dict[str, object]:
     """The page, with its size in the log; reports no progress."""
     facts = write_viewer(options, progress, name=name)
     columns, rows = facts.cells

@@ -11,13 +11,13 @@ All that a cell depends on lies within :func:`reach`, so the result does not dep
 from __future__ import annotations
 
 import math
-from typing import Any, List
+from typing import List
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..contracts.arrays import FloatImage, Floats, Mask
+from ..contracts.arrays import AnyArray, FloatImage, Floats, Mask
 from .parameters import TERRAIN, ObjectParameters
 
 _HIGH = np.float32(1e30)  # stands for no height where the lowest is looked for, and -_HIGH where the highest is
@@ -103,14 +103,14 @@ def _square(half: int) -> NDArray[np.uint8]:
     return np.ones((2 * half + 1, 2 * half + 1), np.uint8)
 
 
-def _lowest(values: Any, half: int) -> FloatImage:
+def _lowest(values: AnyArray, half: int) -> FloatImage:
     if not half:
         return np.asarray(values)
     border = {"borderType": cv2.BORDER_CONSTANT, "borderValue": float(_HIGH)}
     return np.asarray(cv2.erode(values.astype(np.float32), _square(half), **border))
 
 
-def _highest(values: Any, half: int) -> FloatImage:
+def _highest(values: AnyArray, half: int) -> FloatImage:
     border = {"borderType": cv2.BORDER_CONSTANT, "borderValue": -float(_HIGH)}
     return np.asarray(cv2.dilate(values.astype(np.float32), _square(half), **border))
 

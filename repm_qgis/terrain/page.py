@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Dict, List, Mapping, Sequence
+from typing import Dict, List, Mapping, Sequence, Tuple
 
 import numpy as np
 
-from ..contracts.arrays import FloatImage
+from ..contracts.arrays import FloatArray, FloatImage
+from ..contracts.documents import JsonMapping
 from ..contracts.options import DtmOptions
 from ..reports import charts, pictures
 from ..reports.report import Report
@@ -16,7 +17,7 @@ _PICTURE_PX = 700
 _TALL_M = 2.0  # lower heights are left out of the histogram: cars, hedges and noise
 
 
-def terrain_page(options: DtmOptions, surface: Surface, facts: Mapping[str, Any], warnings: Sequence[str]) -> Report:
+def terrain_page(options: DtmOptions, surface: Surface, facts: JsonMapping, warnings: Sequence[str]) -> Report:
     """What was found: DSM, terrain and their difference beside each other, figures, and two profiles."""
     page = Report("Terrain of a DSM", f"{options.output}, of {options.scene or options.dsm}")
     few = "Most of the heights belong to objects: choose a smaller LARGEST or a larger SLOPE where hills are gone."
@@ -66,7 +67,10 @@ def terrain_page(options: DtmOptions, surface: Surface, facts: Mapping[str, Any]
     return page
 
 
-def _profiles(heights: Mapping[str, FloatImage], cell: float) -> List[Any]:
+_Lines = Dict[str, Tuple[FloatArray, FloatImage]]
+
+
+def _profiles(heights: Mapping[str, FloatImage], cell: float) -> List[Tuple[str, _Lines]]:
     """Both surfaces along the middle row and the middle column."""
     rows, columns = heights["DSM"].shape
     ways = (

@@ -100,7 +100,7 @@ def write_viewer(
     return ViewerFacts(cells.size, factor, os.path.getsize(str(options.viewer)))
 
 
-def _place(cells: Grid, tag: Optional[str]) -> Dict[str, Any]:
+def _place(cells: Grid, tag: Optional[str]) -> Dict[str, object]:
     """Where the cells lie: their corner and size in units of the CRS, their size in metres, and the heights' datum."""
     x, step_x, _, y, _, step_y = cells.transform
     metres = metres_per_unit(cells)
@@ -121,7 +121,7 @@ def _place(cells: Grid, tag: Optional[str]) -> Dict[str, Any]:
     }
 
 
-def _packed(heights: FloatImage, parameters: ViewerParameters) -> Dict[str, Any]:
+def _packed(heights: FloatImage, parameters: ViewerParameters) -> Dict[str, object]:
     """Heights in 16 bit, and which cells have one."""
     good = np.isfinite(heights)
     low, high = float(np.nanmin(heights)), float(np.nanmax(heights))
@@ -144,14 +144,14 @@ def _deflated(data: bytes, parameters: ViewerParameters) -> str:
     return base64.b64encode(zlib.compress(data, parameters.level)).decode("ascii")
 
 
-def _elevation(heights: FloatImage) -> Dict[str, Any]:
+def _elevation(heights: FloatImage) -> Dict[str, object]:
     low, high = percentile_range(heights)
     return {"kind": "dsm", "ramp": list(RAMPS["elevation"]), "low": low, "high": high}
 
 
 def _draped(
     kind: str, dataset: gdal.Dataset, cells: Grid, progress: Progress, parameters: ViewerParameters
-) -> Dict[str, Any]:
+) -> Dict[str, object]:
     """A raster as the page shows it: a picture, or values with their colours."""
 
     def values_of(band: int) -> FloatImage:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
+from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.contracts.errors import Cancelled
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs
 from repm_qgis.rpc import Rpc
@@ -65,7 +66,7 @@ class TruthScene:
         """xmin, ymin, xmax, ymax of the true DSM."""
         x, cell, _, y, _, _ = self.transform
         rows, columns = self.surface.shape
-        return x, y - rows * cell, x + columns * cell, y
+        return Bounds(x, y - rows * cell, x + columns * cell, y)
 
 
 class Pipeline:
@@ -207,7 +208,7 @@ class Case:
     def __init__(self, views, lon, lat, altitudes, half_m):
         self.views, self.altitudes, self.crs = views, altitudes, utm_crs(lon, lat)
         x, y = projected_from_geodetic(self.crs, np.array([lon, lat]))
-        self.bounds = (x - half_m, y - half_m, x + half_m, y + half_m)
+        self.bounds = Bounds(x - half_m, y - half_m, x + half_m, y + half_m)
         self.scene = Scene(views, EnuFrame(lon, lat), self.crs, "", altitudes, [], "polynomial")
 
     def points(self, count=500, seed=0):

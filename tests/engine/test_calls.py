@@ -40,6 +40,7 @@ PLACES = {
     "utm_crs",
     "_map",
     "_moved",
+    "_name",
 }
 """What takes a place, a size, a rectangle or a range of numbers: these have one order everywhere, x before y before
 height, columns before rows, the least before the largest."""

@@ -93,7 +93,8 @@ def test_a_dsm_says_when_its_images_were_taken(tmp_path):
 def test_a_dsm_of_a_registered_scene_is_told_from_the_one_before(placed, mark, tmp_path):
     path = str(tmp_path / "dsm.tif")
     tags = {"REPM_PLACED": placed, names.DAYS: "2019-05-01"}
-    with created(path, (2, 2), np.dtype(np.float32), 1, (0, 1, 0, 0, 0, -1), "", metadata=tags) as writer:
+    frame = RasterFrame((2, 2), np.float32, 1, (0, 1, 0, 0, 0, -1))
+    with created(path, frame, metadata=tags) as writer:
         writer.write(np.zeros((2, 2), np.float32), 0, 0)
     assert names.is_of_registered(path) == bool(mark)
     assert names.surface_title(path) == f"{os.path.basename(tmp_path)}{mark}, 2019-05-01"

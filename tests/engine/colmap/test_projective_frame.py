@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from repm_qgis.colmap.projective_frame import ProjectiveFrame, tile_frame
+from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.contracts.errors import RpcInvalidError
 from repm_qgis.geometry.equivalent_error import fit_pinhole, virtual_grid
 from repm_qgis.geometry.frames import EnuFrame, geodetic_from_projected, projected_from_geodetic, utm_crs
@@ -98,7 +99,7 @@ def test_every_site(shared_data, site, span, capsys):
     middle = views[0].rpc.height_off
     altitudes = (middle - 100, middle + 100) if span == "200 m" else views[0].rpc.height_range
     scene, x, y = scene_of(views, altitudes)
-    bounds = x - HALF_M, y - HALF_M, x + HALF_M, y + HALF_M
+    bounds = Bounds(x - HALF_M, y - HALF_M, x + HALF_M, y + HALF_M)
     tile = tile_frame(scene, [view.name for view in views], bounds, altitudes)
     check(f"{site}, {span}", scene, tile, ground_enu(scene, x, y, HALF_M, altitudes), capsys)
 
