@@ -2,7 +2,7 @@
 
 A quadtree over the DSM's own cells, made from its leaves upwards. A leaf has 256 x 256 squares between cells; a tile
 above four others has every second of their cells, so its vertices are vertices of theirs. Of each tile's cells those
-are left out that its triangles do not need. Memory does not grow with the DSM: of each level there are four tiles.
+are left out that its triangles do not need. Of each level four tiles are in memory at a time.
 
 Vertices are metres in a local east, north, up frame at the DSM's middle, which the root's ``transform`` takes to
 geocentric coordinates (EPSG:4978). Tiles are listed one by one and not by implicit tiling, which QGIS 3.40 does not
