@@ -56,7 +56,7 @@ def test_it_runs_in_qgis_itself_and_its_images_go_on_to_other_algorithms(german,
     assert fine, feedback.heard["error"]
     assert any(line.startswith("3 Bilder: RPC in ") for line in feedback.heard["info"])
     page = plain((tmp_path / "r.html").read_text(encoding="utf-8"))
-    assert "Jeder exportierte RPC ist höchstens" in page and "affin, Zähler angepasst" in page
+    assert "Jedes exportierte RPC ist höchstens" in page and "affin, Zähler angepasst" in page
     again = QgsApplication.processingRegistry().algorithmById("repm:inspect").create()
     given = {"IMAGES": results["IMAGES"], "FOOTPRINTS": str(tmp_path / "f.gpkg"), "REPORT": str(tmp_path / "i.html")}
     seen, fine = again.run(given, QgsProcessingContext(), feedback)

@@ -31,6 +31,7 @@ from repm_qgis.runtime.memory import (
 ROOT = Path(__file__).resolve().parents[3]
 BEGIN = """
 import json, sys
+from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.runtime.parallel import begin_worker
 begin_worker()
 from repm_qgis.scene import Scene
@@ -50,7 +51,7 @@ from repm_qgis.matching.sgm import BACKEND
 x, y = (tile.bounds[0] + tile.bounds[2]) / 2, (tile.bounds[1] + tile.bounds[3]) / 2
 half = side * scene.gsd_m / 2
 first, second = scene.views[:2]
-task = PairTask(BACKEND, scene.lean(), "t", (x - half, y - half, x + half, y + half),
+task = PairTask(BACKEND, scene.lean(), "t", Bounds(x - half, y - half, x + half, y + half),
                 (tile.altitudes[0] - extra, tile.altitudes[1] + extra), (first.name, second.name),
                 tuple(view_stretch(v.image, v.band) for v in (first, second)), f"{out}{side}{extra}.tif", "key")
 record = match_pair_over_tile(task)
