@@ -18,7 +18,7 @@ from qgis.core import QgsApplication
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 NAMES = sorted(path.stem for path in (ROOT / "docs" / "algorithms").glob("*.md"))
 IN_ORDER = "environment sampledata inspect epmfit errormap refine exportcameras reconstruct exportrpc".split()
-IN_ORDER += ["register", "dsmfuse", "pipeline", "comparedsm", "checkgcps", "mosaic", "viewer", "dtm"]
+IN_ORDER += ["register", "dsmfuse", "pipeline", "comparedsm", "checkgcps", "mosaic", "viewer", "tiles3d", "dtm"]
 IN_ORDER += ["editdsm", "change", "series"]
 
 
@@ -183,6 +183,7 @@ def test_the_examples_of_help_work_one_after_the_other_from_the_zip(headless, tm
                     "FOLDER",
                     "SOURCES",
                     "VIEWER",
+                    "TILES3D",
                 ):
                     assert (folder / value).exists(), f"{example}: no {key}"
 
