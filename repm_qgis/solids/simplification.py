@@ -52,7 +52,10 @@ class Simplified:
     def painted(self) -> Iterator[Tuple[FloatArray, Optional[Colours]]]:
         """The same with their (n, 3) colours; None without an orthophoto in colour."""
         for part in self.parts():
-            yield part, None if self.paint is None else self.paint.points(part[:, 0], part[:, 1])
+            # Few vertices lie on many cells of the orthophoto, which are read at once.
+            cells = 0 if self.paint is None else self.paint.dataset.RasterXSize * self.paint.dataset.RasterYSize
+            for piece in np.array_split(part, max(1, cells * len(part) // (len(self.xyz) * self.at_once))):
+                yield piece, None if self.paint is None else self.paint.points(piece[:, 0], piece[:, 1])
 
     def triangles(self) -> Iterator[IntArray]:
         """(n, 3) numbers of the vertices of all triangles, part by part."""
