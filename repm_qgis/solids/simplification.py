@@ -93,30 +93,34 @@ def reduced(
         return thinned(lattice, max_vertices)[0], cells
     simple, every = parameters.simplification, dataset.RasterXSize * dataset.RasterYSize
     step = math.ceil(math.sqrt(every / min(max(simple.cells, max_vertices), every)))
-    while replace(lattice, step=step).vertices() > max_vertices:
-        xyz, corners = _joined(replace(lattice, step=step), max_vertices, simple)
+    while True:
+        coarse = replace(lattice, step=step)
+        heights = np.concatenate([block for _, block in coarse.rows()])
+        if np.isfinite(heights).sum() <= max_vertices:
+            return coarse, cells
+        cell_m = abs(dataset.GetGeoTransform()[1]) * step
+        xyz, corners = _joined(heights, cell_m, max_vertices, parameters=simple, progress=progress)
         if len(xyz) > max_vertices:
             xyz, corners = _collapsed(xyz, corners, max_vertices)
         if len(corners) and len(xyz) <= max_vertices:
             xyz, corners = _southward(_placed(dataset, xyz), corners)
             return Simplified(dataset, xyz, corners, parameters.mesh_block_cells, progress, paint), cells
         step += math.ceil(step / 2)
-    return replace(lattice, step=step), cells
 
 
-def _joined(lattice: Lattice, limit: int, parameters: SimplificationParameters) -> Tuple[FloatArray, IntArray]:
+def _joined(
+    heights: FloatImage, cell_m: float, limit: int, *, parameters: SimplificationParameters, progress: Progress
+) -> Tuple[FloatArray, IntArray]:
     """The simplified strips of rows as one mesh: (N, 3) column, row (in metres) and height, (M, 3) corners.
 
     It has more vertices than the limit where all of it can be simplified once more within the planned memory.
     """
-    heights = np.concatenate([block for _, block in lattice.rows()])
-    cell_m = abs(lattice.dataset.GetGeoTransform()[1]) * lattice.step
     share = (parameters.spare if limit <= parameters.joined else parameters.tight) * limit / np.isfinite(heights).sum()
     lines = max(parameters.strip_cells // heights.shape[1], 2)
     starts = range(0, max(len(heights) - 1, 1), lines)
     done: List[Tuple[FloatArray, IntArray]] = []
     for start in starts:
-        lattice.progress.check_cancelled()
+        progress.check_cancelled()
         xyz, corners = _strip(heights, start, lines, cell_m)
         done.append(_collapsed(xyz, corners, math.ceil(share * len(xyz))))
     xyz = np.concatenate([part for part, _ in done])
@@ -158,7 +162,7 @@ def _collapsed(xyz: FloatArray, corners: IntArray, limit: int) -> Tuple[FloatArr
 def _welded(xyz: FloatArray, corners: IntArray, seams: FloatArray) -> Tuple[FloatArray, IntArray]:
     """The mesh whose vertices on the rows between strips, which both strips have, are one."""
     on_seam = np.isin(xyz[:, 1], seams)
-    places, first, numbers = np.unique(xyz[on_seam], axis=0, return_index=True, return_inverse=True)
+    places, numbers = np.unique(xyz[on_seam], axis=0, return_inverse=True)
     renumbered = np.empty(len(xyz), np.int64)
     inner = int((~on_seam).sum())
     renumbered[~on_seam] = np.arange(inner)

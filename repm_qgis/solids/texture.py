@@ -6,9 +6,9 @@ import math
 from typing import List
 
 import numpy as np
-from osgeo import gdal
 
 from ..contracts.arrays import FloatArray, Window
+from ..reports.pictures import jpeg_bytes
 from .lattice import Surface
 from .painting import Colours, Paint
 
@@ -40,16 +40,4 @@ def picture(paint: Paint) -> bytes:
         paint.cells(Window(0, row, width, min(step, height - row)))[:1, ::step] for row in range(0, height, step)
     ]
     pixels = (np.concatenate(parts) >> 8).astype(np.uint8)
-    memory = gdal.GetDriverByName("MEM").Create("", pixels.shape[1], pixels.shape[0], 3, gdal.GDT_Byte)
-    for band in range(3):
-        memory.GetRasterBand(band + 1).WriteArray(np.ascontiguousarray(pixels[..., band]))
-    name = f"/vsimem/picture_{id(memory)}.jpg"
-    gdal.GetDriverByName("JPEG").CreateCopy(name, memory, options=[f"QUALITY={_JPEG_QUALITY}"])
-    try:
-        size = gdal.VSIStatL(name).size
-        stream = gdal.VSIFOpenL(name, "rb")
-        data = bytes(gdal.VSIFReadL(1, size, stream))
-        gdal.VSIFCloseL(stream)
-        return data
-    finally:
-        gdal.Unlink(name)
+    return jpeg_bytes(pixels, _JPEG_QUALITY)
