@@ -40,21 +40,15 @@ def kept_of_tile(heights: FloatImage, cell_m: float, tolerance_m2: float, *, los
     Cells are left out whose sum of squared distances is within the tolerance. A cell that is lost to a hole counts as
     ``lost`` squared sides of its triangle. All cells along the tile's sides stay, so that it meets its neighbours.
     """
-    root = len(heights) - 1
-    errors = _errors(heights, root, cell_m, lost, progress)
+    errors = _errors(heights, cell_m, lost, progress)
     errors[[0, -1]] = errors[:, [0, -1]] = np.inf
     half = 1
-    while half < root:
+    while half < len(heights) - 1:
         _contain(errors, half)
         half *= 2
-    return _joined(errors > tolerance_m2, heights, root)
-
-
-def _joined(used: Mask, heights: FloatImage, root: int) -> Kept:
-    """The triangles between the cells that are used, and those of the cells that are their corners."""
-    corners = _triangles(used, heights, root)
-    used[:] = False
-    used[corners[..., 0], corners[..., 1]] = True  # cells with only holes around them have no triangle
+    corners = _triangles(errors > tolerance_m2, heights)
+    used = np.zeros(heights.shape, bool)  # cells with only holes around them have no triangle
+    used[corners[..., 0], corners[..., 1]] = True
     numbers = np.cumsum(used, dtype=np.int32).reshape(used.shape) - 1
     return Kept(used, numbers[corners[..., 0], corners[..., 1]])
 
@@ -82,22 +76,14 @@ def surface_of_tile(heights: FloatImage, used: Mask) -> FloatImage:
 # Errors -----------------------------------------------------------------------------------------------------------
 
 
-def _errors(heights: FloatImage, root: int, cell_m: float, lost: float, progress: Progress) -> FloatImage:
-    """The error of each cell, m2; corners of the coarsest squares, of ``root`` cells a side, have an infinite one."""
+def _errors(heights: FloatImage, cell_m: float, lost: float, progress: Progress) -> FloatImage:
+    """The error of each cell as the middle of its two triangles alone, m2."""
     found = np.zeros(heights.shape, np.float32)
-    for row in range(0, heights.shape[0] - 1, root):
-        progress.check_cancelled()
-        above = min(row, 1)
-        part = heights[row - above : row + root + 2]
-        strip = _Strip(part[above : above + root + 1], _steepness(part, cell_m)[above : above + root, :-1])
-        half = 1
-        while half < root:
-            strip.add(found[row : row + root + 1], half, lost * (2 * half * cell_m) ** 2)
-            half *= 2
-    found[::root, ::root] = np.inf
+    surface = _Surface(heights, _steepness(heights, cell_m)[:-1, :-1])
     half = 1
-    while half < root:
-        _contain(found, half)
+    while half < len(heights) - 1:
+        progress.check_cancelled()
+        surface.add(found, half, lost * (2 * half * cell_m) ** 2)
         half *= 2
     return found
 
@@ -114,8 +100,8 @@ def _steepness(heights: FloatImage, cell_m: float) -> FloatImage:
     return weights
 
 
-class _Strip:
-    """A row of the coarsest squares: what cells lie away from the triangles of a level."""
+class _Surface:
+    """What the cells of a tile lie away from the triangles of a level."""
 
     def __init__(self, heights: FloatImage, weights: FloatImage) -> None:
         known = np.isfinite(heights)
@@ -201,20 +187,11 @@ def _contain(errors: FloatImage, half: int) -> None:
 # Triangles --------------------------------------------------------------------------------------------------------
 
 
-def _triangles(used: Mask, heights: FloatImage, root: int) -> Places:
+def _triangles(used: Mask, heights: FloatImage) -> Places:
     """(N, 3, 2) row and column of the corners of all triangles that lie on no hole, counter-clockwise from above."""
-    known = np.isfinite(heights)
-    rows, columns = ((size - 1) // root for size in used.shape)
-    row, column = (places.ravel().astype(np.int32) for places in np.indices((rows, columns)))
-    a, b, c, d = (np.stack([row + down, column + right], axis=-1) * root for down in (0, 1) for right in (0, 1))
-    falling = ((row + column) % 2 == 0)[:, None]
-    # The right angle's corner first.
-    level = np.concatenate(
-        [
-            np.stack([np.where(falling, b, a), np.where(falling, a, c), np.where(falling, d, b)], axis=1),
-            np.stack([np.where(falling, c, d), np.where(falling, d, b), np.where(falling, a, c)], axis=1),
-        ]
-    )
+    known, root = np.isfinite(heights), len(heights) - 1
+    # The tile's two halves, the right angle's corner first.
+    level = np.array([[[0, root], [0, 0], [root, root]], [[root, 0], [root, root], [0, 0]]], np.int32)
     done: List[Places] = []
     while len(level):
         if np.abs(level[0, 1] - level[0, 0]).sum() == 1:  # no cell is between two neighbours
