@@ -23,7 +23,7 @@ from ..imagery.vrt import Mosaicked, vrt_text
 from ..reports.styles import write_style
 from ..runtime.parallel import run_tasks, run_whole
 from ..runtime.progress import Part, Progress
-from ..runtime.workspace import whole_file, whole_folder
+from ..runtime.workspace import foreign_entries, whole_file, whole_folder
 from .blocks import Block
 from .inputs import Layout
 from .parameters import MosaicParameters
@@ -97,11 +97,7 @@ def rasters_of(options: MosaicOptions, layout: Layout) -> List[MosaicRaster]:
 def require_tiles_place(path: str) -> None:
     """Check that the folder for a VRT's tiles, which is replaced, holds nothing else; raises WorkspaceError."""
     folder = Path(tiles_folder(path)) if tiles_folder(path) else None
-    others: List[str] = []
-    if folder and folder.is_dir():
-        others = sorted(each.name for each in folder.iterdir() if not _OURS.fullmatch(each.name))
-    elif folder and folder.exists():
-        others = [folder.name]
+    others = foreign_entries(folder, lambda name: bool(_OURS.fullmatch(name))) if folder else []
     if others:
         reason = f"holds '{others[0]}', which is no tile of a mosaic and would be lost"
         raise WorkspaceError(f"The folder '{folder}' for the tiles of '{path}' {reason}: choose another name.")

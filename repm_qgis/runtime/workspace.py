@@ -19,7 +19,7 @@ import time
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Dict, FrozenSet, Iterable, Iterator, List, Optional, Set
+from typing import Callable, Dict, FrozenSet, Iterable, Iterator, List, Optional, Set
 
 from .. import __version__
 from ..contracts.errors import Cancelled, RepmError, WorkspaceError
@@ -396,6 +396,20 @@ def _obstacle(place: str) -> Optional[OSError]:
     except OSError as error:
         return error
     return None
+
+
+def foreign_entries(path: str | os.PathLike[str], is_ours: Callable[[str], bool]) -> List[str]:
+    """The names of what a folder that is to be replaced holds beside our own, or of a file in its place, in order.
+
+    Raises WorkspaceError for a folder that cannot be read.
+    """
+    folder = Path(path)
+    try:
+        if folder.is_dir():
+            return sorted(each.name for each in folder.iterdir() if not is_ours(each.name))
+        return [folder.name] if folder.exists() else []
+    except OSError as error:  # too many open files, or a folder that may not be read
+        raise cannot_write(str(path), error) from error
 
 
 def size_of(path: str) -> int:

@@ -30,7 +30,7 @@ from ..contracts.documents import JsonObject
 from ..contracts.errors import EmptyResultError, WorkspaceError
 from ..files.las import laz_backend, required_laspy
 from ..runtime.progress import Progress, Silent
-from ..runtime.workspace import cannot_write, whole_folder
+from ..runtime.workspace import foreign_entries, whole_folder
 from .derived import FinishedDsm
 from .parameters import SOLIDS, EptParameters
 
@@ -182,12 +182,7 @@ def write_ept(
 def require_ept_place(path: str) -> None:
     """Check that a folder that an EPT replaces holds nothing else; raises WorkspaceError."""
     folder = Path(path)
-    others = [folder.name] if folder.is_file() else []
-    if folder.is_dir():
-        try:
-            others = sorted({path.name for path in folder.iterdir()} - set(_ENTRIES))
-        except OSError as error:  # too many open files, or a folder that may not be read
-            raise cannot_write(path, error) from error
+    others = foreign_entries(folder, _ENTRIES.__contains__)
     if others:
         reason = f"holds '{others[0]}', which does not belong to an EPT and would be lost"
         raise WorkspaceError(f"The folder '{folder}' {reason}: choose a new or empty folder for EPT.")

@@ -33,7 +33,7 @@ from ..imagery.heights import read_heights
 from ..imagery.raster import opened
 from ..reports.pictures import jpeg_bytes
 from ..runtime.progress import Progress, Silent
-from ..runtime.workspace import whole_folder
+from ..runtime.workspace import foreign_entries, whole_folder
 from .gltf import small_glb
 from .painting import Paint, opened_paint
 from .parameters import SOLIDS, SolidsParameters
@@ -68,8 +68,7 @@ class _Tile:
 def require_tiles3d_place(path: str) -> None:
     """Check that a folder that a tileset replaces holds nothing else; raises WorkspaceError."""
     folder = Path(path)
-    others = [folder.name] if folder.is_file() else []
-    others += sorted({each.name for each in folder.iterdir()} - set(_ENTRIES)) if folder.is_dir() else []
+    others = foreign_entries(folder, _ENTRIES.__contains__)
     if others:
         reason = f"holds '{others[0]}', which does not belong to a tileset and would be lost"
         raise WorkspaceError(f"The folder '{folder}' {reason}: choose a new or empty folder for TILES3D.")

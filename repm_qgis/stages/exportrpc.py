@@ -20,7 +20,7 @@ from ..reports.verdict import of_rpcs
 from ..rpc.correction import corrected, of_projected
 from ..rpc.writers import rpb_text, rpc_tags, rpc_txt
 from ..runtime.progress import Progress, counted
-from ..runtime.workspace import whole_folder, write_text
+from ..runtime.workspace import foreign_entries, whole_folder, write_text
 from ..scene import Scene, View
 
 _LIST = "rpcs.json"
@@ -104,10 +104,8 @@ def _record(exported: ExportedRpc) -> Dict[str, object]:
 
 def _require_place(folder: Path) -> None:
     """Raise WorkspaceError where replacing the folder would delete anything but an earlier export."""
-    others = [folder.name] if folder.is_file() else []
-    if folder.is_dir():
-        known = {_LIST, *(name + end for name in _listed(folder / _LIST) for end in ("", ".aux.xml", ".ovr"))}
-        others = sorted({path.name for path in folder.iterdir()} - known)
+    known = {_LIST, *(name + end for name in _listed(folder / _LIST) for end in ("", ".aux.xml", ".ovr"))}
+    others = foreign_entries(folder, known.__contains__)
     if others:
         reason = f"holds '{others[0]}', which does not belong to an export of RPCs and would be lost"
         raise WorkspaceError(f"The folder '{folder}' {reason}: choose a new or empty folder for RPC_FOLDER.")
