@@ -56,7 +56,6 @@ class Tiles3dParameters(Parameters):
     lost: float = 0.3  # squared distance, in its triangle's, that counts for a cell which is lost to a hole; tuned
     most_texels: int = 4  # of the picture for each cell's side
     jpeg_quality: int = 85
-    light: Tuple[float, float, float] = (-0.5, 0.5, 0.7071)  # from the northwest, where there is no orthophoto
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from ..geometry.frames import EnuFrame, flat_crs, geodetic_from_projected, on_ea
 from ..geometry.vertical import ELLIPSOID, TAG, HeightDatum, stated_datum
 from ..imagery.heights import read_heights
 from ..imagery.raster import opened
-from ..reports.pictures import jpeg_bytes
+from ..reports.pictures import hillshade, jpeg_bytes
 from ..runtime.progress import Progress, Silent
 from ..runtime.workspace import foreign_entries, whole_folder
 from .gltf import small_glb
@@ -40,6 +40,7 @@ from .parameters import SOLIDS, SolidsParameters
 from .tile_triangles import Kept, kept_of_tile, surface_of_tile
 
 _ENTRIES = ("tileset.json", "tiles")
+_LEVEL = 0.7071  # the light on level ground
 _BOX_MARGIN = 1e-6  # of its size: vertices are in single precision
 
 
@@ -186,7 +187,7 @@ class _Tree:
         used[:: 2 if below else 1, :: 2 if below else 1] = kept.cells
         error = _rms(fine - surface_of_tile(fine, used)) + max((part.error for part in below), default=0.0)
         if picture is None or self.paint is None:
-            picture = _shaded(heights, cell, p.light)
+            picture = _shaded(heights, cell)
         ends = [end for part in below for end in (part.low, part.high)]
         entry: Dict[str, Any] = {}
         if len(kept.triangles):  # else only islands of a few cells are below it
@@ -262,10 +263,9 @@ def _box(low: FloatArray, high: FloatArray) -> Dict[str, List[float]]:
     return {"box": [*middle.tolist(), *np.diag(half).ravel().tolist()]}
 
 
-def _shaded(heights: FloatImage, cell_m: float, light: Tuple[float, float, float]) -> ByteImage:
+def _shaded(heights: FloatImage, cell_m: float) -> ByteImage:
     """(rows, columns, 3) the surface in greys, of the squares between cells."""
     down = (heights[1:, :-1] - heights[:-1, :-1]) / cell_m
     right = (heights[:-1, 1:] - heights[:-1, :-1]) / cell_m
-    lit = (light[2] - light[0] * right + light[1] * down) / np.sqrt(1 + right**2 + down**2)
-    grey = np.nan_to_num(np.clip(lit, 0, 1), nan=light[2])
+    grey = np.nan_to_num(hillshade(right, -down), nan=_LEVEL)
     return np.repeat(np.rint(40 + 215 * grey).astype(np.uint8)[..., None], 3, axis=2)
