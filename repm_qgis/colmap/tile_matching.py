@@ -216,7 +216,7 @@ def _fused(folder: str) -> FloatArray:
     path = os.path.join(folder, "fused.npy")
     try:
         points: FloatArray = np.load(path, allow_pickle=False)
-    except (OSError, ValueError) as error:
+    except (OSError, EOFError, ValueError) as error:  # EOFError: an empty file
         raise ImageError(f"Cannot read COLMAP's fused points '{path}' ({error}): reconstruct again.") from error
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype != np.float64:
         raise ImageError(f"COLMAP's fused points '{path}' are {points.shape} {points.dtype}: reconstruct again.")

@@ -88,7 +88,7 @@ class StoredTile(Record):
             tile.load()  # which compares the checksums that the file has
             if checksum_of([np.asarray(tile.wide())]) != tile.wide_checksum:
                 return None
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
             return None
         return tile
 

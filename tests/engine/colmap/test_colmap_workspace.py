@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 
 import numpy as np
 import pycolmap
@@ -120,7 +121,7 @@ def test_the_installed_colmap_counts_from_pixel_centres_here(made):
     np.testing.assert_allclose(tile.views[0].camera.project(point), [[91.0, 37.0]], atol=0.01)
     np.testing.assert_allclose(tile.views[0].camera.depth(point), [1.3], atol=1e-5)
     with open(os.path.join(folder, "fused.ply"), "rb") as stream:
-        numbers = np.frombuffer(stream.read().split(b"end_header\n", 1)[1][:24], dtype="<f4")
+        numbers = np.frombuffer(re.split(b"end_header\r?\n", stream.read(), maxsplit=1)[1][:24], dtype="<f4")
     np.testing.assert_allclose(numbers, [*point[0], 0.36, -0.48, 0.8], atol=1e-5)
 
 

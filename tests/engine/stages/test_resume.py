@@ -403,7 +403,7 @@ def test_a_damaged_fused_tile_is_made_again(killed_fusion, whole, told):
     np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
 
 
-@pytest.mark.parametrize("how", ("zeros", "another height", "gone"))
+@pytest.mark.parametrize("how", ("zeros", "another height", "gone", "empty"))
 @pytest.mark.slow
 def test_damaged_heights_with_the_margin_are_not_reused(killed_fusion, whole, told, how):
     """A power cut leaves zeros in a file that the disk had not got yet: seams were 24 m off."""
@@ -412,6 +412,8 @@ def test_damaged_heights_with_the_margin_are_not_reused(killed_fusion, whole, to
     values = np.load(wide)
     if how == "gone":
         wide.unlink()
+    elif how == "empty":  # numpy has an error of its own for these, from 1.25 on
+        wide.write_bytes(b"")
     else:
         content = bytearray(wide.read_bytes())
         begin = len(content) - values.nbytes
