@@ -23,6 +23,8 @@ TASKS = {int(number): text for number, text in re.findall(r"(?ms)^## (\d+)\. [^\
 BEFORE = PAGE.split("## Before you begin")[1].split("\n## ")[0]
 SPENT: dict[object, float] = {}
 """Seconds of the processor by task: the wall's depend on who else works on the machine."""
+RUNS: dict[object, int] = {}
+"""How often QGIS was started by task."""
 
 resource = pytest.importorskip("resource", reason="the commands are those of a POSIX shell")
 
@@ -39,7 +41,7 @@ def cook(tmp_path_factory):
     programs = folder / "programs"
     programs.mkdir()
     for name, line in (
-        ("qgis_process", f"exec '{ROOT}/scripts/qgis-headless' \"$@\""),
+        ("qgis_process", f"echo >>'{folder}/runs'\nexec '{ROOT}/scripts/qgis-headless' \"$@\""),
         ("python", f"PYTHONPATH='{ROOT}' exec '{sys.executable}' \"$@\""),
     ):
         (programs / name).write_text(f"#!/bin/sh\n{line}\n")
@@ -61,6 +63,7 @@ def cook(tmp_path_factory):
         )
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         SPENT[name] = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        RUNS[name] = (folder / "runs").read_text().count("\n") - sum(RUNS.values())
         assert done.returncode == 0, done.stdout
         return done.stdout
 
@@ -315,5 +318,8 @@ def test_22_a_town_on_the_globe(cook):
 def test_the_whole_book_is_quick():
     if len(SPENT) < 1 + len(TASKS):
         pytest.skip(f"only {len(SPENT)} of {1 + len(TASKS)} parts were run in this session")
-    # Against what precedes all tasks, the sample images and their DSM: seconds depend on the processor.
-    assert sum(SPENT.values()) < 0.75 * len(TASKS) * SPENT["before"], SPENT  # 15 times of it for twenty tasks
+    # Against what precedes all tasks, the sample images: seconds depend on the processor, and on QGIS, whose own start
+    # is most of a run (4 s of the processor in QGIS 3.44).
+    first = SPENT["before"] / RUNS["before"]
+    mean = (sum(SPENT.values()) - SPENT["before"]) / (sum(RUNS.values()) - RUNS["before"])
+    assert mean < 1.08 * first, (mean / first, SPENT, RUNS)  # 1.03 measured on 3.44

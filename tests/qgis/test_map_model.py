@@ -34,14 +34,17 @@ def plane(x, y):
 
 @pytest.fixture(scope="module")
 def dsm(tmp_path_factory):
-    """60 x 120 cells: a plane on the left with a hole in it, a flat of 850 m with a small cone on the right."""
+    """60 x 120 cells: a plane on the left with a hole in it, a flat of 851 m with a small cone on the right.
+
+    The flat lies on no contour: GDAL 3.10.3 would draw one around it, and 3.6 and 3.13 would not.
+    """
     path = tmp_path_factory.mktemp("town") / "north" / "dsm.tif"
     path.parent.mkdir()
     rows, columns = np.indices((60, 120))
     x, y = WEST + CELL * (columns + 0.5), NORTH - CELL * (rows + 0.5)
-    heights = np.where(columns < 60, plane(x, y), 850.0)
+    heights = np.where(columns < 60, plane(x, y), 851.0)
     away = np.hypot(x - (WEST + 180.0), y - (NORTH - 60.0))
-    heights = np.where(columns < 60, heights, 850.0 + np.maximum(8.0 - away, 0.0))
+    heights = np.where(columns < 60, heights, 851.0 + np.maximum(8.0 - away, 0.0))
     heights[30:34, 20:24] = -9999.0
     raster = gdal.GetDriverByName("GTiff").Create(str(path), 120, 60, 1, gdal.GDT_Float32)
     raster.SetGeoTransform((WEST, CELL, 0, NORTH, 0, -CELL))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -121,7 +122,9 @@ def _moved(scene, folder, pair, metres):
             return replace(record, offsets=())
         dataset = gdal.Open(record.file)
         height, score, filled = (dataset.GetRasterBand(band).ReadAsArray() for band in (1, 2, 3))
-        return write_height_map(f"{folder}/{record.tile}.tif", "key", record, height + metres, score, filled > 0)
+        return write_height_map(
+            os.path.join(folder, f"{record.tile}.tif"), "key", record, height + metres, score, filled > 0
+        )
 
     return scene.with_tiles(lambda tile: replace(tile, heights=tuple(map(changed, tile.heights))))
 
