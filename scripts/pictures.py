@@ -42,6 +42,7 @@ SHOWN = {
 RECORDED = ("1_panel", "3_running", "5_dsm", "6_map")
 WINDOW, SMALL = (1280, 860), (960, 645)
 MAX_BYTES = 390_000
+RING = 0xD0, 0x1C, 0x1C  # of tests/qgis/drive_whole_way.py
 SHARES = 1.0, 0.85, 0.7, 0.55
 sys.path.insert(0, ROOT)
 
@@ -237,7 +238,8 @@ def recording(folder: str, source: str, name: str) -> None:
     sheet = Image.new("RGB", (size[0], size[1] * len(some)))
     for row, frame in enumerate(some):
         sheet.paste(frame, (0, row * size[1]))
-    colours = sheet.quantize(64, method=Image.MEDIANCUT)  # the same for all: only what changes takes bytes
+    colours = sheet.quantize(63, method=Image.MEDIANCUT)  # the same for all: only what changes takes bytes
+    colours.putpalette([*colours.getpalette()[: 3 * 63], *RING])  # a thin ring has too few pixels to be chosen
     first, *more = (frame.quantize(palette=colours, dither=Image.NONE) for frame in frames)
     times = [1600] * len(more) + [4000]
     target = os.path.join(FOLDER, name)
