@@ -61,7 +61,7 @@ STYLES = (
     Style("tie_points", off=True),
     Style("tiles", off=True),
     Style("footprints"),
-    Style("overlaps"),
+    Style("overlaps", off=True),
     Style("error", "viridis", off=True, template="ramp", unit=" px"),
     Style("dsm_error", "diverging", template="ramp", unit=" m"),
     Style("volumes"),

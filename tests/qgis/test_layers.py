@@ -192,6 +192,11 @@ def test_each_run_has_its_group_and_stages_of_one_scene_share_theirs(plugin, fee
             project.addMapLayer(layer)
             styler.postProcessLayer(layer, context, feedback)
 
+    arrive("field", "footprints", "overlaps")  # images are inspected, and a DSM is made of them
+    assert tree(root) == [("field", True), [("footprints field", True), ("overlaps field", True)]]
+    arrive("field", "dsm")
+    assert tree(root)[1] == [("footprints field", True), ("overlaps field", False), ("dsm field", True)]
+    root.clear()
     root.addGroup("town")  # somebody's own
     arrive("town", "error", "tiles")
     assert tree(root)[:2] == [("town", True), [("tiles town", True), ("error town", True)]]
