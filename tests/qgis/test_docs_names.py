@@ -36,6 +36,8 @@ OF_QGIS = {
     "Network": "QgsOptionsBase",
     "Processing": "ProcessingPlugin",
     "Providers": "ConfigDialog",
+    "Layer CRS": "QgsAppLayerTreeViewMenuProvider",
+    "Set &Project CRS from Layer": "QgsAppLayerTreeViewMenuProvider",
     "&Zoom to Group": "QgsLayerTreeViewDefaultActions",
     "Draw on Canvas": "QgsExtentWidget QgsExtentGroupBoxWidget",
     "Styles": "QgsAppLayerTreeViewMenuProvider",
