@@ -259,7 +259,9 @@ def style_layer(
         style = os.path.join(path, "ept.qml") if kind == "ept" else os.path.splitext(path)[0] + ".qml"
         kept_as = _load_built(context, path, kind)
     else:
-        style = sidecar(kind, path, feedback)
+        # A layer in memory has an id and no file: its style would lie in the folder that QGIS was started in.
+        in_memory = context.temporaryLayerStore().mapLayer(path) is not None
+        style = sidecar(kind, QgsProcessingUtils.generateTempFilename(kind) if in_memory else path, feedback)
     if kept_as and context.willLoadLayerOnCompletion(kept_as):
         styler = LayerStyler.make(style, kind, run, title, more, _views(kind, path, feedback))
         _dress(context, kept_as, run.name(title, more), kind, run, styler)

@@ -61,9 +61,8 @@ def model(plugin):
     return QgsApplication.processingRegistry().algorithmById("repm:dsm_to_map")
 
 
-@pytest.fixture
-def made(model, dsm, feedback, tmp_path):
-    """The model's outputs, and the project that its layers were put into as the dialog does."""
+def run_as_the_dialog(model, dsm, feedback, outputs):
+    """The model's results, and the project that its layers were put into."""
     from processing.gui.Postprocessing import handleAlgorithmResults
 
     project = QgsProject.instance()
@@ -71,15 +70,18 @@ def made(model, dsm, feedback, tmp_path):
     context = QgsProcessingContext()
     context.setProject(project)
     given = {"DSM": str(dsm), "INTERVAL": 5.0, "SHORTEST": 30.0}
-    given.update(
-        {key: QgsProcessingOutputLayerDefinition(str(tmp_path / name), project) for key, name in LAYERS.items()}
-    )
+    given.update({key: QgsProcessingOutputLayerDefinition(path, project) for key, path in outputs.items()})
     results, fine = model.run(given, context, feedback)
     assert fine, feedback.heard["error"]
     gc.collect()
     assert handleAlgorithmResults(model, context, feedback, parameters=given)
-    yield {name: results[name] for name in LAYERS}, project
-    project.clear()
+    return {name: results[name] for name in outputs}, project
+
+
+@pytest.fixture
+def made(model, dsm, feedback, tmp_path):
+    yield run_as_the_dialog(model, dsm, feedback, {key: str(tmp_path / name) for key, name in LAYERS.items()})
+    QgsProject.instance().clear()
 
 
 def values(path):
@@ -155,3 +157,12 @@ def test_layers_are_styled_named_and_in_one_group(made):
     low, high = layers[1].renderer().classificationMin(), layers[1].renderer().classificationMax()
     assert low == 0 and 25 < high < 90
     assert all(isinstance(layer, QgsRasterLayer) and layer.isValid() for layer in layers[1:])
+
+
+def test_layers_that_are_not_kept_leave_no_style_where_qgis_was_started(model, dsm, feedback, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    _, project = run_as_the_dialog(model, dsm, feedback, dict.fromkeys(LAYERS, "TEMPORARY_OUTPUT"))
+    (contours,) = project.mapLayersByName("Contours north")
+    assert contours.dataProvider().name() == "memory" and contours.labeling().settings().fieldName == "height"
+    assert list(tmp_path.iterdir()) == []
+    project.clear()
