@@ -340,7 +340,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
                     kind=product.style,
                     run=run,
                     title=tr(product.layer or product.title),
-                    more=datum or "",
+                    more=said(datum) if datum else "",
                 )
         if isinstance(result.get("seconds"), dict):
             feedback.pushInfo(

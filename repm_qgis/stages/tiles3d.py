@@ -6,7 +6,7 @@ from typing import Any, Dict
 
 from ..contracts.options import Tiles3dOptions
 from ..runtime.parallel import run_whole
-from ..runtime.progress import Progress
+from ..runtime.progress import Progress, counted
 from ..solids.tiles3d import write_tiles3d
 
 
@@ -22,8 +22,9 @@ def run(options: Tiles3dOptions, progress: Progress) -> Dict[str, Any]:
 
 def _written(options: Tiles3dOptions, progress: Progress) -> Dict[str, Any]:
     made = write_tiles3d(options.dsm, options.tiles3d, options.ortho, progress=progress)
+    tiles = counted(made.tiles, "tile")
     progress.info(
-        f"3-D Tiles: {made.tiles} tiles with {made.vertices} vertices and {made.triangles} triangles; the coarsest is "
+        f"3-D Tiles: {tiles} with {made.vertices} vertices and {made.triangles} triangles; the coarsest is "
         f"{made.error_m:.2f} m (RMS) from the DSM."
     )
     counts = {"tiles": made.tiles, "vertices": made.vertices, "triangles": made.triangles}

@@ -11,7 +11,7 @@ import shutil
 from xml.etree import ElementTree
 
 import pytest
-from qgis.core import QgsApplication, QgsProcessingException
+from qgis.core import QgsApplication, QgsProcessingException, QgsProcessingOutputLayerDefinition, QgsProject
 
 from tests.english import english_in
 
@@ -110,6 +110,17 @@ def test_logs_errors_and_reports_of_both_kinds_of_runs_are_german(german, feedba
         assert not english_in([str(caught.value)])
     heard = [text for texts in ("info", "warning", "text") for text in feedback.heard[texts]]
     assert any("prüfe Pakete und Geräte" in text for text in heard) and not english_in(heard)
+
+
+def test_the_name_of_a_dsm_says_its_datum_in_german(german, context, feedback, tmp_path, monkeypatch):
+    project, path = QgsProject(), str(tmp_path / "dsm.tif")
+    algorithm = QgsApplication.processingRegistry().algorithmById("repm:dsmfuse").create()
+    algorithm._inputs = {"scene": "/work/stadt/scene.json"}
+    monkeypatch.setattr(algorithm, "complete", lambda options: options)
+    made = {"output": path, "vertical_datum": "WGS 84 ellipsoid"}
+    monkeypatch.setattr(algorithm, "run_stage", lambda *_: made)
+    algorithm._processed({"OUTPUT": QgsProcessingOutputLayerDefinition(path, project)}, context, feedback)
+    assert context.layerToLoadOnCompletionDetails(path).name == "DOM stadt (Ellipsoid WGS 84)"
 
 
 def test_the_compiled_file_is_in_the_package_and_has_each_text_once():
