@@ -58,6 +58,7 @@ OF_QGIS = {
 # As OF_QGIS, of later versions: the first version that has it, the place, and the German word.
 LATER = {
     "&3D Map Views": (32400, "MainWindow", "&3D-Kartenansichten"),
+    "Draw on Map Canvas": (34000, "QgsExtentWidget", "Auf Karte zeichnen"),
     "Elevation Profile": (32600, "MainWindow", "Geländehöhenprofil"),
 }
 # German words that differ between versions of QGIS: a page may have any of them.
