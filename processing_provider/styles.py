@@ -32,6 +32,9 @@ from .language import language, said
 _FROM_TOP = [style.kind for style in STYLES]
 _OFF = {style.kind: style.beside for style in STYLES if style.off}
 _ORDER, _SCENE, _NUMBER = "repm/order", "repm/scene", "repm/number"
+_BEFORE_A_DSM = {"gcps", "tie_points", "tiles", "footprints", "overlaps", "error"}
+"""The kinds of layers that a DSM may join; all others belong to a DSM, such as the second comparison of an earlier one,
+which has a group of its own."""
 HILLSHADE = "repm/hillshade"
 """The property of a node in the tree of layers: 1 where the layer has a hillshade, 0 where the user switched it off."""
 
@@ -77,7 +80,9 @@ class Run:
         }
         if not self.number:
             last = max(mine, default=0)
-            self.number = last + 1 if not last or _kinds(mine[last]) & self.kinds else last
+            there = _kinds(mine[last]) if last else set()
+            measured = "dsm" in self.kinds and there - _BEFORE_A_DSM
+            self.number = last + 1 if not last or there & self.kinds or measured else last
         if self.number not in mine:
             made = parent.insertGroup(0, self.label())
             made.setCustomProperty(_SCENE, self._identity())

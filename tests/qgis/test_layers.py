@@ -11,6 +11,7 @@ from qgis.core import (
     QgsApplication,
     QgsCategorizedSymbolRenderer,
     QgsGraduatedSymbolRenderer,
+    QgsMapLayerStore,
     QgsPointXY,
     QgsProcessingContext,
     QgsProject,
@@ -196,6 +197,15 @@ def test_each_run_has_its_group_and_stages_of_one_scene_share_theirs(plugin, fee
     assert tree(root) == [("field", True), [("footprints field", True), ("overlaps field", True)]]
     arrive("field", "dsm")
     assert tree(root)[1] == [("footprints field", True), ("overlaps field", False), ("dsm field", True)]
+    arrive("field", "dsm_error")
+    arrive("field", "dsm_error")  # compared again, with another alignment
+    arrive("field", "tiles", "dsm")  # of none of these comparisons
+    assert tree(root)[:4] == [
+        ("field (3)", True),
+        [("tiles field (3)", False), ("dsm field (3)", True)],
+        ("field (2)", True),
+        [("dsm_error field (2)", True)],
+    ]
     root.clear()
     root.addGroup("town")  # somebody's own
     arrive("town", "error", "tiles")
@@ -251,6 +261,9 @@ def test_newer_qgis_is_told_the_order(plugin, feedback, tmp_path):
 
         def layerToLoadOnCompletionDetails(self, name):
             return self.details[name]
+
+        def temporaryLayerStore(self):
+            return QgsMapLayerStore()
 
     context = Context()
     for kept_as, kind in (("dsm", "dsm"), ("ties", "tie_points")):
