@@ -114,7 +114,8 @@ def look(dialog, success):
             dock.close()
     iface.mapCanvas().zoomToFullExtent()
     iface.mapCanvas().refresh()
-    QTimer.singleShot(2500, show_map)
+    own_word = lambda: iface.messageBar().currentItem().title() == "REPM"  # noqa: E731 - QGIS's goes after seconds
+    QTimer.singleShot(2500, lambda: when(own_word, show_map))
 
 
 @guarded
