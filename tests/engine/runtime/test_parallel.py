@@ -237,8 +237,8 @@ def test_workers_live_on_within_a_block_only(work, told):
         return set(run_tasks(work.who, list(range(8)), workers, told(), str))
 
     with kept_workers():
-        first = who()
-        assert who() == first and len(first) <= 2
+        first = who() | who()  # where workers begin slowly, one of them may do all of the first tasks
+        assert len(first) <= 2
         with pytest.raises(OptionError):
             run_tasks(work.picky, list(range(8)), 2, told(), str)
         later = who()
