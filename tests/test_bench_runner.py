@@ -137,6 +137,7 @@ def run(*words):
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.long
 def test_the_command_line_names_what_there_is():
     assert "dsm, earthquake, epm, files, frames" in run("--help").stdout
     assert "NAME" in run("nonsense").stderr

@@ -122,6 +122,7 @@ def _takes_absence(handler: ast.ExceptHandler) -> bool:
     return any(word in text for word in ("AttributeError", "ImportError", "ModuleNotFoundError"))
 
 
+@pytest.mark.long
 def test_nothing_that_windows_lacks_is_used_unasked():
     assert wrong(SHIPPED, lambda path: posix_only(path.read_text(encoding="utf-8"))) == {}
 
@@ -160,6 +161,7 @@ def too_new(path: pathlib.Path) -> str:
     return ""
 
 
+@pytest.mark.long
 def test_the_oldest_python_can_read_everything(tmp_path):
     assert wrong(EVERYTHING, too_new) == {}
     newer = tmp_path / "newer.py"

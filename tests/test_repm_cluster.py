@@ -128,6 +128,7 @@ def test_a_key_that_others_could_read_is_made_again(tmp_path):
 @needs_dask
 @posix
 @pytest.mark.parametrize("system", ["slurm", "pbs"])
+@pytest.mark.long
 def test_a_job_script_holds_what_the_options_say(tmp_path, system):
     folder = tmp_path / "a folder's"
     folder.mkdir()

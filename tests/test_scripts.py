@@ -174,6 +174,7 @@ def state(folder):
     return [subprocess.run(["git", *each], cwd=folder, capture_output=True, text=True).stdout for each in words]
 
 
+@pytest.mark.long
 def test_a_release_is_only_tried_unless_one_says_do_it(to_release, capsys):
     release, folder = to_release
     before = state(folder)
@@ -196,6 +197,7 @@ def test_a_release_is_only_tried_unless_one_says_do_it(to_release, capsys):
     ]
 
 
+@pytest.mark.long
 def test_a_release_names_what_is_in_its_way(to_release, monkeypatch, capsys):
     release, folder = to_release
     monkeypatch.setattr(release, "tried", lambda root, python: ["mypy fails: 1"])

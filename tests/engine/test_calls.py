@@ -12,6 +12,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Dict, Iterator, List, Set
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("repm_qgis", "processing_provider", "desktop")
 
@@ -99,6 +101,7 @@ def kinds_of_stars(trees: Dict[str, ast.Module]) -> Dict[str, List[str]]:
     return found
 
 
+@pytest.mark.long
 def test_no_record_is_unpacked_into_positions():
     found = kinds_of_stars(modules())
     assert not found["records"], "\n".join(found["records"])

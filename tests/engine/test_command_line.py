@@ -114,6 +114,7 @@ def images(as_wheel, tmp_path_factory):
     return found
 
 
+@pytest.mark.long
 def test_reports_and_languages_come_with_the_package(as_wheel, images, tmp_path):
     arguments = ("inspect", "--images", *images, "--report", "page.html", "--language", "de")
     done = run(as_wheel, *arguments, cwd=tmp_path)

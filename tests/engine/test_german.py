@@ -19,6 +19,8 @@ from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 from tests.english import english_in
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[2]
 PRODUCTS = ("output", "confidence", "ortho")
 

@@ -40,6 +40,7 @@ LIGHT = [
 
 
 @pytest.mark.parametrize("module", (*LIGHT, "matching.backends"))
+@pytest.mark.long
 def test_light_stages_and_the_registry_need_only_what_qgis_ships(module):
     """numpy, GDAL, pyproj and jinja2: these modules run in QGIS's own process, where the wheels may be missing."""
     done = python(
@@ -109,6 +110,7 @@ def test_the_command_line_counts_a_bug_as_2(tmp_path):
     assert last["type"] == "bug" and "ZeroDivisionError: a bug" in last["text"]
 
 
+@pytest.mark.long
 def test_the_command_line_runs_a_pipeline(urban, tmp_path):
     """One heavy stage as QGIS starts it: JSON lines alone, rising progress, the result last."""
     (tmp_path / "job.json").write_text(

@@ -103,6 +103,7 @@ def one_sentence(text, *words):
 
 
 @pytest.mark.parametrize("fault", SENTENCES)
+@pytest.mark.long
 def test_a_bad_image_is_one_sentence_and_leaves_nothing(plugin, feedback, sample, bad, tmp_path, fault):
     workspace = tmp_path / "w"
     text = message_of(
@@ -128,6 +129,7 @@ def test_a_bad_image_is_one_sentence_and_leaves_nothing(plugin, feedback, sample
         ({"VERTICAL_DATUM": "sea level"}, ("VERTICAL_DATUM is 'sea level'", "EGM96")),
     ),
 )
+@pytest.mark.long
 def test_an_absurd_request_is_refused_in_the_dialog(plugin, context, sample, tmp_path, values, words):
     """Before the run begins, and for a scene that was fitted earlier too."""
     from repm_qgis.runtime.progress import Silent
@@ -236,6 +238,7 @@ def test_a_slip_in_a_parameters_name_is_told(plugin, feedback, sample, tmp_path)
 
 
 @pytest.mark.parametrize("fault", ["no rpc", "cut"])
+@pytest.mark.long
 def test_qgis_process_ends_with_code_1(headless, sample, bad, tmp_path, fault):
     done = headless(
         "run",
@@ -254,6 +257,7 @@ def test_qgis_process_ends_with_code_1(headless, sample, bad, tmp_path, fault):
     assert not (tmp_path / "dsm.tif").exists()
 
 
+@pytest.mark.long
 def test_a_missing_wheel_is_one_sentence_with_the_remedy(headless, sample, tmp_path):
     own = shutil.which("python3", path="/usr/bin")  # QGIS's Python, without the wheels
     probe = subprocess.run([own or "false", "-c", "import cv2"], capture_output=True, check=False)

@@ -17,6 +17,8 @@ from qgis.core import (
     QgsSingleBandPseudoColorRenderer,
 )
 
+pytestmark = pytest.mark.long
+
 MAP = ("OUTPUT", "TILES", "TIE_POINTS")
 
 

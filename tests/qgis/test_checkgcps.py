@@ -32,6 +32,7 @@ def fitted(sample, tmp_path_factory):
     return run_stage("epmfit", {"images": sample["images"], "workspace": str(folder)}, Silent())["scene"]
 
 
+@pytest.mark.long
 def test_checkgcps_from_the_command_line(headless, sample, fitted, tmp_path):
     done = headless(
         "--json",
@@ -57,6 +58,7 @@ def test_checkgcps_from_the_command_line(headless, sample, fitted, tmp_path):
     assert len(heights) == len({row["id"] for row in rows_of(sample)})
 
 
+@pytest.mark.long
 def test_checkgcps_needs_only_a_dsm(headless, sample, tmp_path):
     done = headless(
         "--json",
@@ -80,6 +82,7 @@ def test_checkgcps_needs_only_a_dsm(headless, sample, tmp_path):
         (["DSM=truth", "GCP_DATUM=sea level"], "GCP_DATUM is 'sea level'"),
     ],
 )
+@pytest.mark.long
 def test_user_errors_are_one_sentence(headless, sample, tmp_path, words, sentence):
     given = [word.replace("truth", sample["truth"]) for word in words if not word.endswith("=")]
     table = [] if any(word.startswith("GCPS") for word in given) else [f"GCPS={sample['gcps']}"]

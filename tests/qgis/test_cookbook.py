@@ -17,6 +17,8 @@ from pyproj import Transformer
 
 from repm_qgis.evaluation.scoring import score_files
 
+pytestmark = pytest.mark.long
+
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "cookbook.md").read_text(encoding="utf-8")
 TASKS = {int(number): text for number, text in re.findall(r"(?ms)^## (\d+)\. [^\n]*\n(.*?)(?=^## |\Z)", PAGE)}

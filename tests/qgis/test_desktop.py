@@ -6,9 +6,13 @@ import shutil
 
 import pytest
 
-pytestmark = pytest.mark.skipif(
-    not (shutil.which("xvfb-run") and shutil.which("qgis")), reason="needs QGIS's desktop and xvfb-run ('make setup')"
-)
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(
+        not (shutil.which("xvfb-run") and shutil.which("qgis")),
+        reason="needs QGIS's desktop and xvfb-run ('make setup')",
+    ),
+]
 
 
 @pytest.fixture

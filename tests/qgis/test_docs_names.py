@@ -176,6 +176,7 @@ def wrong_in(page: pathlib.Path, menu: set[str], shown: set[str], stressed: set[
 
 
 @pytest.mark.parametrize("language", ("en", "de"))
+@pytest.mark.long
 def test_each_name_in_italics_is_shown(language, collector, request):
     if language == "de":
         request.getfixturevalue("german")

@@ -22,6 +22,7 @@ def houses(tmp_path_factory):
     return raster.write(path, [heights], place, "EPSG:32631", unit="m"), house
 
 
+@pytest.mark.long
 def test_the_terrain_below_houses(headless, houses, tmp_path):
     dsm, house = houses
     out = {name: str(tmp_path / f"{name.lower()}.tif") for name in ("OUTPUT", "HEIGHTS", "MASK")}

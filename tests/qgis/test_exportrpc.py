@@ -11,6 +11,8 @@ from osgeo import gdal
 
 from tests.engine.pages import plain
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def scenes(sample, tmp_path_factory):

@@ -27,6 +27,7 @@ def cpu_of_children():
     return sum(os.times()[2:4])
 
 
+@pytest.mark.long
 def test_the_toolbox_lists_us_and_nobody_elses_plugins(headless, tmp_path):
     ours, without = {}, {"config": tmp_path}
     headless("plugins", **without)  # the first start makes the profile
@@ -48,6 +49,7 @@ def test_the_toolbox_lists_us_and_nobody_elses_plugins(headless, tmp_path):
     assert not {"grass7", "saga", "otb"} & set(providers)
 
 
+@pytest.mark.long
 def test_environment_reports_on_the_engines_interpreter(headless, tmp_path):
     report = tmp_path / "environment.html"
     done = headless("--json", "run", "repm:environment", "--", f"REPORT={report}", REPM_ENGINE_PYTHON=sys.executable)
@@ -70,6 +72,7 @@ def image(path):
 
 
 @pytest.mark.parametrize("stage", ["epmfit", "pipeline"])  # in QGIS's process, and in one of its own
+@pytest.mark.long
 def test_an_image_without_rpc_is_one_sentence_and_code_1(headless, tmp_path, stage):
     given = [f"IMAGES={image(tmp_path / name)}" for name in ("a.tif", "b.tif")]
     products = [f"OUTPUT={tmp_path / 'dsm.tif'}"] if stage == "pipeline" else []
@@ -115,6 +118,7 @@ def test_a_wrong_interpreter_is_one_sentence_and_code_1(headless, tmp_path):
     assert "Traceback" not in said(done)
 
 
+@pytest.mark.long
 def test_epmfit_runs_in_qgis_and_its_scene_goes_on_to_errormap(headless, sample, tmp_path):
     images = [f"IMAGES={path}" for path in sample["images"]]
     done = headless(
@@ -260,6 +264,7 @@ def test_make_help_lists_the_targets():
         assert f"make {target} " in done.stdout
 
 
+@pytest.mark.long
 def test_another_python_first_on_path_does_not_end_qgis(headless, tmp_path):
     """As with conda, pyenv or a virtual environment: QGIS took its library's folder from this one."""
     (tmp_path / "lib" / f"python{sys.version_info[0]}.{sys.version_info[1]}").mkdir(parents=True)

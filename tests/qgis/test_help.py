@@ -41,6 +41,7 @@ def test_help_is_a_page_with_every_parameter_by_label_and_id(plugin, name):
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.long
 def test_what_help_links_to_is_there(plugin, name):
     seen, ahead = set(), [help_page(name)]
     while ahead:

@@ -44,6 +44,7 @@ def test_without_a_translation_the_source_is_shown(plugin):
     )
 
 
+@pytest.mark.long
 def test_everything_is_translated_and_places_for_values_are_kept(collector):
     """'make i18n' names what is missing; nothing that has gone from the source is left."""
     done = collector.translations(ROOT / "i18n" / "repm_de.ts")
@@ -141,6 +142,7 @@ def test_the_compiled_file_is_in_the_package_and_has_each_text_once():
 @pytest.mark.skipif(
     not (shutil.which("xvfb-run") and shutil.which("qgis")), reason="needs QGIS's desktop and xvfb-run ('make setup')"
 )
+@pytest.mark.long
 def test_windows_are_german(desktop_start):
     found = desktop_start("drive_german.py", {}, seconds=90, locale="de")["windows"]
     assert len(found) >= 15 and sum(map(len, found.values())) > 300

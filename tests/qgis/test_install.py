@@ -65,6 +65,7 @@ def test_headless_it_installs_from_a_folder_of_wheels_and_an_update_keeps_it(
     assert done.returncode == 0 and not home.exists() and INSTALL_REMEDY in done.stdout
 
 
+@pytest.mark.long
 def test_scripts_setup_of_an_unpacked_zip_serves_qgis(headless, unpacked_profile, wheels, tmp_path):
     """The execute bit is lost, so it is started by bash; an environment goes into the profile."""
     plugin = unpacked_profile / "profiles" / "default" / "python" / "plugins" / "repm"
@@ -114,6 +115,7 @@ def test_the_desktop_offers_installs_and_removes(plugin, desktop_start, wheels):
 
 
 @desktop
+@pytest.mark.long
 def test_cancel_in_the_desktop_leaves_nothing(desktop_start, wheels, monkeypatch):
     # An address that takes the connection and never answers.
     import socket

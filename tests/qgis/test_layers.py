@@ -312,6 +312,7 @@ def test_height_errors_are_styled_about_zero(load, sample, tmp_path):
     assert (tmp_path / "e.qml").exists()
 
 
+@pytest.mark.long
 def test_corners_of_sample_images_are_transparent(plugin, context, feedback, tmp_path):
     """On the map an image is turned, and QGIS fills what lies beside it with zeros, which would be black."""
     project = QgsProject()

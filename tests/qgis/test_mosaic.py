@@ -23,6 +23,7 @@ def dsms(tmp_path_factory):
     return found
 
 
+@pytest.mark.long
 def test_two_dsms_become_one(headless, dsms, tmp_path):
     out = {name: str(tmp_path / f"{name.lower()}.tif") for name in ("OUTPUT", "SOURCES")}
     given = [*(f"DSMS={path}" for path in dsms), f"FIXED={dsms[0]}", *(f"{n}={p}" for n, p in out.items())]
@@ -39,6 +40,7 @@ def test_two_dsms_become_one(headless, dsms, tmp_path):
     assert (tmp_path / "output.qml").exists() and (tmp_path / "sources.qml").exists()
 
 
+@pytest.mark.long
 def test_a_vrt_with_tiles_beside_it(headless, dsms, tmp_path):
     """QGIS takes the name in commands and dialogs, and the VRT as a layer; other algorithms write no VRT."""
     given = [*(f"DSMS={path}" for path in dsms), f"OUTPUT={tmp_path / 'm.vrt'}"]

@@ -115,6 +115,7 @@ def on_qt6(pyqt6, *arguments):
     return done
 
 
+@pytest.mark.long
 def test_the_plugin_on_pyqt6_shows_what_it_shows_here(pyqt6, provider):
     done = on_qt6(pyqt6, str(STUBS), str(pyqt6))
     assert done.returncode == 0, done.stderr
@@ -183,6 +184,7 @@ def every_window_was_used(used):
         "QgsProcessing.SourceType.TypeRasters",
     ],
 )
+@pytest.mark.long
 def test_the_stand_ins_refuse_what_qgis_4_refuses(pyqt6, code):
     start = f"import sys; sys.argv = ['', {str(pyqt6)!r}]; sys.path.insert(0, {str(STUBS.parent)!r}); import qt6_stubs"
     names = "QgsProcessing, QgsProcessingParameterBoolean, QgsProcessingParameterMultipleLayers, "

@@ -55,6 +55,7 @@ def town(tmp_path):
     return dsm, confidence, surface
 
 
+@pytest.mark.long
 def test_a_layer_of_polygons_from_the_command_line(headless, town, tmp_path):
     from osgeo import ogr
 
@@ -82,6 +83,7 @@ def test_a_layer_of_polygons_from_the_command_line(headless, town, tmp_path):
 @pytest.mark.skipif(
     not (shutil.which("xvfb-run") and shutil.which("qgis")), reason="needs QGIS's desktop and xvfb-run ('make setup')"
 )
+@pytest.mark.long
 def test_edits_drawn_on_the_map(desktop_start, town, tmp_path):
     dsm, confidence, surface = town
     plan = {

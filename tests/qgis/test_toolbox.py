@@ -19,6 +19,7 @@ from qgis.core import (
 )
 
 
+@pytest.mark.long
 def test_sample_images_come_as_a_group(plugin, feedback, tmp_path):
     from processing.gui.Postprocessing import handleAlgorithmResults
 
@@ -106,6 +107,7 @@ def test_the_scene_that_was_written_last_is_remembered(no_scenes, context, feedb
     assert last_scene("dsmfuse") == last_scene("exportcameras") == ""  # they could not begin with it
 
 
+@pytest.mark.long
 def test_a_dialog_takes_up_the_newest_scene_that_its_stage_can_begin_with(no_scenes, town, tmp_path):
     from repm.processing_provider.last_scene import last_scene, remember
 
@@ -162,6 +164,7 @@ os._exit(0)
 """
 
 
+@pytest.mark.long
 def test_the_copy_runs_in_the_designer_and_qgis_ends(plugin, tmp_path):
     """QGIS crashed (SIGSEGV) at the designer's Run, and said KeyError 'REPM_ENGINE_PYTHON' where it ended."""
     pytest.importorskip("processing.modeler.ModelerDialog", reason="needs QGIS's Python modules for the desktop")

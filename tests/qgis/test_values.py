@@ -143,6 +143,7 @@ def test_a_cluster_comes_from_the_parameter_or_the_settings(plugin, context, fee
         ProcessingConfig.settings["REPM_CLUSTER"].setValue("")
 
 
+@pytest.mark.long
 def test_a_comparison_on_a_cluster_runs_apart(plugin, context, feedback, rasters):
     """QGIS's own Python need not have Dask: the engine's has, and says what is wrong with the address."""
     from qgis.core import QgsProcessingException
@@ -216,6 +217,7 @@ def test_the_adjustment_is_an_option_of_the_engine(plugin, context, feedback, ra
     assert "ADJUSTMENT=colmap" in command
 
 
+@pytest.mark.long
 def test_colmap_without_cuda_is_refused_in_the_dialog(plugin, context, tmp_path, monkeypatch):
     from repm.processing_provider import engine
 

@@ -196,6 +196,7 @@ def test_times_and_suns_are_those_of_the_real_images(shared_data):
     assert rows == [(one.utc, one.sun.azimuth_deg, one.sun.elevation_deg) for one in WORLDVIEW3_JACKSONVILLE]
 
 
+@pytest.mark.long
 def test_a_scene_on_disk_is_whole_and_the_same_again(tmp_path):
     spec = DatedSpec(side_m=60.0, acquisitions=WORLDVIEW3_JACKSONVILLE[:2])
     made = [make_dated_scene(spec, str(tmp_path / name), Silent(), replace(DATED, effects=REAL)) for name in "ab"]

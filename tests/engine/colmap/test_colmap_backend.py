@@ -98,6 +98,7 @@ def matched(urban, tmp_path_factory):
 
 
 @pytest.mark.parametrize("kind, half, calm_m, worst_px", (("urban", 45.0, 1.0, 0.15), ("mountains", 90.0, 10.0, 0.4)))
+@pytest.mark.long
 def test_the_best_correlation_is_at_the_true_depth(request, kind, half, calm_m, worst_px, tmp_path):
     """COLMAP's warp of the written images, in single precision: planes through the true depth agree best.
 
@@ -124,6 +125,7 @@ def test_the_best_correlation_is_at_the_true_depth(request, kind, half, calm_m, 
     assert np.median(px) < worst_px
 
 
+@pytest.mark.long
 def test_every_view_gets_a_height_map_of_the_surface(urban, matched):
     task, records = matched
     assert [record.pair[0] for record in records] == [view.name for view in urban.views]
@@ -169,6 +171,7 @@ def test_the_same_again_is_reused_and_anything_else_is_not(matched):
         match_tile(GpuTask(**{**vars(task), "key": "other"}), GPU, threading.Event(), never)
 
 
+@pytest.mark.long
 def test_a_small_gpu_gets_the_tile_in_parts(urban, matched, tmp_path):
     """Parts fit the memory, meet without overlap in the tile, and say the same as the whole."""
     whole, whole_records = matched
@@ -207,6 +210,7 @@ def test_a_gpu_without_room_says_so(urban, tmp_path):
     assert bytes_allowed(GPU, PatchMatchOptions(memory_gib=2)) == 2 << 30
 
 
+@pytest.mark.long
 def test_colmap_s_fusion_decides_where_it_is_asked_to(urban, matched, tmp_path):
     """Fewer heights, and of those no worse ones, than all that are consistent."""
     task, records = matched
@@ -419,6 +423,7 @@ def reconstruct(refined, folder, said, **options):
     )
 
 
+@pytest.mark.long
 def test_the_whole_way_to_a_dsm(urban, refined, tmp_path, with_gpu, told):
     with_gpu(functools.partial(plane_sweep, count=120))
     said = told()
@@ -440,6 +445,7 @@ def test_the_whole_way_to_a_dsm(urban, refined, tmp_path, with_gpu, told):
     assert any("Reused" in note for note in again.notes)
 
 
+@pytest.mark.long
 def test_auto_falls_back_to_the_cpu_for_a_tile_and_says_so(refined, tmp_path, with_gpu, told):
     calls = []
 

@@ -46,6 +46,7 @@ def urban_truth(shared_data):
     "columns, rows, dz, noise",
     [(0.5, 0.5, -3, 0.3), (2.3, -1.7, 1.2, 0), (-7.4, 11.6, 5, 0.3), (20.25, -15.1, 0, 0.2), (0, 0, 0, 0.3)],
 )
+@pytest.mark.long
 def test_known_shift_of_a_city(shared_data, columns, rows, dz, noise):
     rng = np.random.default_rng(3)
     truth = urban_truth(shared_data)

@@ -64,6 +64,7 @@ def added(result):
     return np.array([result[name] for name in ("dx", "dy", "dz")])
 
 
+@pytest.mark.long
 def test_points_find_a_known_shift():
     for start in (np.zeros(3), -SHIFT + [0.8, -0.9, 0.3]):
         near = SHIFT if start.any() else np.array([0.3, -0.4, 0.2])
@@ -71,6 +72,7 @@ def test_points_find_a_known_shift():
         np.testing.assert_allclose(found, -near, atol=0.02)
 
 
+@pytest.mark.long
 def test_a_clouds_points_lay_a_dsm_onto_it(dsm, tmp_path):
     reference = las(tmp_path / "lidar.laz", scattered(230_000, 3))
     found = compare(dsm, reference, align="icp", report=str(tmp_path / "r.html"))

@@ -123,6 +123,7 @@ def pixels_of(path):
 
 
 @pytest.mark.parametrize("form", ["sparse/0", "sparse_text"])
+@pytest.mark.long
 def test_pycolmap_sees_what_the_refined_cameras_see(exported, scenes, ground, form):
     model, result = exported("colmap", centre=False)
     assert result["images"] == 3 and result["models"] == [str(model)]

@@ -17,6 +17,8 @@ from repm_qgis.exports.stac import write_item
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 
+pytestmark = pytest.mark.long
+
 TIMES = ("2013-04-17T10:37:19.100Z", "2013-04-17T10:37:45.300Z", "2013-04-17T10:38:11Z")
 
 

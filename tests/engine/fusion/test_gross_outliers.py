@@ -36,6 +36,7 @@ def spoilt(scene_path, folder):
 
 @pytest.mark.parametrize("pairs", ("all", "one"))
 @pytest.mark.parametrize("kind", ("urban", "mountains"))
+@pytest.mark.long
 def test_the_surface_stays(request, tmp_path, told, capsys, kind, pairs):
     run = request.getfixturevalue(f"{kind}_run")
     scene = Scene.load(run.result["scene"])

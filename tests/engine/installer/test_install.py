@@ -223,6 +223,7 @@ def test_a_damaged_wheel_is_named(index, home, folder, wheels, tmp_path, how):
     assert left(home) == []
 
 
+@pytest.mark.long
 def test_it_installs_behind_a_proxy_and_keeps_its_password(index, home, folder, monkeypatch):
     proxy = Proxy(index)
     monkeypatch.setenv("PIP_INDEX_URL", "https://packages.test/simple")
@@ -309,6 +310,7 @@ def pips(folder):
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 @pytest.mark.parametrize("name", ("SIGKILL", "SIGTERM"))
+@pytest.mark.long
 def test_what_a_killed_installation_left_is_made_anew(index, home, folder, name):
     number = getattr(signal, name)
     index.hold = 30.0
@@ -375,6 +377,7 @@ def plugin(tmp_path, monkeypatch):
     return place
 
 
+@pytest.mark.long
 def test_an_update_keeps_the_environment_or_renews_it(index, home, plugin):
     first = environments.folder_for(str(home), PYTHON)
     install(PYTHON, first, Silent())
@@ -393,6 +396,7 @@ def test_an_update_keeps_the_environment_or_renews_it(index, home, plugin):
     assert environments.remove([second]) == [] and left(home) == []
 
 
+@pytest.mark.long
 def test_a_checkouts_environment_is_brought_up_to_date_in_its_place(index, plugin):
     folder = environments.own_folder(plugin)
     install(PYTHON, folder, Silent())

@@ -149,6 +149,7 @@ def test_fixed_dsms_keep_their_heights(four, tmp_path, told):
     assert any("its heights are fixed" in text for text in said.notes)
 
 
+@pytest.mark.long
 def test_dsms_that_were_registered_are_fixed_by_themselves(four, tmp_path, told):
     """Where the file says it, in the plugin's own words; nothing else that stands there counts."""
     for text, first in ((PLACED[0], 0.0), ("somebody says so", ADDED[1])):
@@ -161,6 +162,7 @@ def test_dsms_that_were_registered_are_fixed_by_themselves(four, tmp_path, told)
         assert found[1]["added"] == pytest.approx(first, abs=0.01)
 
 
+@pytest.mark.long
 def test_neither_blocks_nor_workers_change_the_result(four, made, tmp_path, told):
     parts = mosaic(told, tmp_path, four, parameters=SMALL, workers=2)
     one, other = read(parts["output"]), read(made[0]["output"])
@@ -290,6 +292,7 @@ def test_bad_input_is_one_sentence_and_nothing_is_left(four, tmp_path, told):
         assert not list(out.iterdir()), label
 
 
+@pytest.mark.long
 def test_cancel_leaves_what_the_next_run_takes(four, tmp_path, told):
     counting = told()
     path = Path(mosaic(told, tmp_path, four, counting, parameters=SMALL)["output"])
@@ -306,6 +309,7 @@ def test_cancel_leaves_what_the_next_run_takes(four, tmp_path, told):
     assert path.read_bytes() == whole and set(tmp_path.iterdir()) == before
 
 
+@pytest.mark.long
 def test_a_killed_run_is_continued_and_damaged_blocks_are_made_again(four, tmp_path, told):
     options = {"dsms": four, "output": str(tmp_path / "m.tif"), "workers": 1}
     code = (
@@ -351,6 +355,7 @@ def both(four, tmp_path_factory, told):
     return (*folders, result)
 
 
+@pytest.mark.long
 def test_a_vrt_shows_what_the_geotiff_has_also_where_both_were_moved(both, tmp_path):
     tif, vrt, result = both
     assert {path.name for path in vrt.iterdir()} == {
@@ -540,6 +545,7 @@ def town(x, y):
     ((town, 20.0, 20.0), (town, 3.0, 3.0), (town, 0.4, None), (lambda x, y: 0.02 * x, 20.0, None)),
     ids=("20 m", "3 m", "0.4 m", "a plane"),
 )
+@pytest.mark.long
 def test_dsms_that_lie_beside_each_other_are_named(tmp_path, told, surface, east, beside):
     """Heights of a flat town differ little where they are not of the same place: no offset shows it, nor a spread."""
     paths = [

@@ -46,6 +46,7 @@ def run(told, folder, said=None, **options):
     return run_stage("mosaic", {"output": str(folder / "m.tif"), "workers": 1, **options}, said or told())
 
 
+@pytest.mark.long
 def test_scenes_give_the_bytes_of_dsms_that_were_fused_by_hand(scenes, fused, tmp_path, told):
     (first, second), higher = fused
     said = told()
@@ -75,6 +76,7 @@ def test_scenes_alone_have_the_cells_of_the_first_and_may_be_fixed_by_name(scene
     assert any("fixed (ground control points)" in text for text in said.notes)
 
 
+@pytest.mark.long
 def test_a_stopped_run_keeps_the_scenes_that_are_fused(scenes, tmp_path, told):
     class Stop(told):
         def info(self, text):

@@ -161,6 +161,7 @@ def test_weights_and_shift_are_measured(town):
 # --- the orthophoto ---
 
 
+@pytest.mark.long
 def test_pansharpening_keeps_the_mean_and_finds_the_true_colours(town, sharp, tmp_path, told):
     result, said = sharp
     plain, _ = fused(town, tmp_path, told, colour="all", pansharpen=False)

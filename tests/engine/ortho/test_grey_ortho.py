@@ -74,6 +74,7 @@ def test_what_changed_in_the_dsm_changes_the_orthophoto(urban_run, painted, mend
 
 
 @pytest.mark.parametrize("workers", (1, 2))
+@pytest.mark.long
 def test_a_tower_hides_ground_in_other_blocks(painted, mended, workers):
     """Blocks of 40 cells, in which a tower of 30 m hides what lies in the next ones."""
     whole, _ = painted(mended[0])

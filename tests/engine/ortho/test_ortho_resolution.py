@@ -166,6 +166,7 @@ def pixels(path):
     return gdal.Open(path).ReadAsArray().astype(float)
 
 
+@pytest.mark.long
 def test_by_default_it_has_the_finest_images_ground_sampling_distance(town):
     fine, coarse = (gdal.Open(town["made"][cell]["ortho"]) for cell in (0.0, 1.0))
     assert fine.GetGeoTransform()[1] == 0.5 and coarse.GetGeoTransform()[1] == 1.0
@@ -174,6 +175,7 @@ def test_by_default_it_has_the_finest_images_ground_sampling_distance(town):
     assert fine.GetRasterBand(1).GetDescription() == "red" and fine.GetRasterBand(1).DataType == gdal.GDT_UInt16
 
 
+@pytest.mark.long
 def test_it_shows_the_true_detail_that_the_cells_of_the_dsm_do_not(town):
     """Structures of a few pixels, of both against the true ground in cells of 0.5 m, on which GDAL interpolates the
     coarser one. The scene has no control points: its place, that of the RPCs, is looked for."""
@@ -207,6 +209,7 @@ def test_it_is_as_complete_as_on_the_cells_of_the_dsm(town):
     assert apart.mean() < 0.02 and fine.mean() > coarse.mean() - 0.01
 
 
+@pytest.mark.long
 def test_workers_change_no_byte_of_its_colours(town, tmp_path, told):
     small = replace(ENGINE, ortho=replace(ENGINE.ortho, block_cells=100))
     found = []

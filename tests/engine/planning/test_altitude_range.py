@@ -191,6 +191,7 @@ def test_a_scene_across_180_degrees(urban, told, tmp_path):
     assert found.matched > 0.8 * plain.matched
 
 
+@pytest.mark.long
 def test_a_run_across_180_degrees(urban, told, tmp_path):
     """As the images are delivered: RPCs beside them, on either side of the line, and no altitudes from the user."""
     turn = 180.0 - np.mean([view.rpc.lon_off for view in urban.views])

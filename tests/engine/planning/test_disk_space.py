@@ -20,6 +20,8 @@ from repm_qgis.runtime.workspace import size_of
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 
+pytestmark = pytest.mark.long
+
 MIB = 1 << 20
 PRODUCTS = {
     "output": "dsm.tif",

@@ -57,6 +57,7 @@ def drawn(views, draws, seed, sensor="Pleiades 1A"):
 
 
 @pytest.mark.parametrize("count", (2, 3))
+@pytest.mark.long
 def test_the_stated_deviations_hold_for_errors_as_promised(urban, count):
     """68 % within one and 95 % within two; three standard errors of the 100 draws."""
     up, stated = drawn(urban.views[:count], DRAWS, seed=count).T

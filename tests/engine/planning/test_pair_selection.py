@@ -215,6 +215,7 @@ def test_places_in_an_outline():
             assert seen[row, column] == shape.Contains(place)
 
 
+@pytest.mark.long
 def test_pairs_that_no_view_needs_go_where_there_are_many(melbourne, twice):
     names = [view.name for view in twice.views]
     every = choose_pairs(twice, replace(NO_MORE, enough=np.inf))
@@ -233,6 +234,7 @@ def test_pairs_that_no_view_needs_go_where_there_are_many(melbourne, twice):
     assert choose_pairs(melbourne, NO_MORE) == choose_pairs(melbourne, replace(NO_MORE, enough=np.inf))
 
 
+@pytest.mark.long
 def test_two_passes_are_matched_each_by_itself_and_joined_once(melbourne, twice):
     """Pairs are of one pass but where that connects them."""
     scene, pairs = twice, choose_pairs(twice, replace(NO_MORE, enough=np.inf))

@@ -18,6 +18,8 @@ from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 from tests.engine.pages import plain
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[3]
 MEASURED = """
 import os, subprocess, sys

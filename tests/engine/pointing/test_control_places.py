@@ -66,6 +66,7 @@ def test_the_truth_scenes_own_points_are_believed(urban):
         (swapped, ("the columns lon and lat are swapped",)),
     ),
 )
+@pytest.mark.long
 def test_points_of_another_place_stop_every_stage_that_takes_them(urban, changed, tmp_path, told, change, words):
     path, count = changed(change), urban.record["gcp_points"]
     fitted = run_stage("epmfit", {"images": urban.images, "workspace": str(tmp_path / "fit")}, told())["scene"]
@@ -85,6 +86,7 @@ def test_points_of_another_place_stop_every_stage_that_takes_them(urban, changed
     assert not (tmp_path / "w" / "scene.json").exists() and not (tmp_path / "r" / "r.json").exists()
 
 
+@pytest.mark.long
 def test_one_wrong_point_among_good_ones_is_named_and_left_out(urban, changed, tmp_path, told):
     path, said = changed(lambda row: shifted(row) if row["id"] == "P01" else {"role": "control"}), told()
     job = {"images": urban.images, "workspace": str(tmp_path / "w"), "output": str(tmp_path / "dsm.tif")}

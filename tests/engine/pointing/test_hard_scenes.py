@@ -48,6 +48,7 @@ def test_shadows_moved_by_hours(spec, tmp_path):
     assert ties >= 25 and error < 0.15
 
 
+@pytest.mark.long
 def test_another_season(spec, tmp_path):
     plain = hard_scenes.town_under(spec, spec.sun)
     changed = hard_scenes.another_season(plain, 1)

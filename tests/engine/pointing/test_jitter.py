@@ -119,6 +119,7 @@ def test_few_ties_and_maps_get_no_waves(shaken):
     assert ladder([np.linspace(0, 9000, 9000)] * 40)[0].count == 1200 // 80 + 3
 
 
+@pytest.mark.long
 def test_good_control_points_are_not_rejected_because_the_satellite_shook(shaken):
     numbers = np.random.default_rng(8)
     gcps = []

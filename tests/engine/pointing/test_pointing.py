@@ -75,6 +75,7 @@ def absolute_error(scene, found):
 
 
 @pytest.mark.parametrize("seed", range(4))
+@pytest.mark.long
 def test_control_points_make_the_pointing_absolute(scene, seed):
     """12 points with 0.3 px of noise: their mean is good to 0.09 px."""
     ties = tracks_of(scene, 400, 0.05, seed)
@@ -359,6 +360,7 @@ def test_control_points_may_ask_for_affine_corrections_where_ties_do_not(scene):
 
 
 @pytest.mark.parametrize("seed", range(4))
+@pytest.mark.long
 def test_noisy_control_points_do_not_ask_for_affine_corrections(scene, seed):
     gcps = control(scene, 1.5, seed)
     assert adjust(scene.views, tracks_of(scene, 300, 0.05, seed), 500.0, "auto", gcps).model == "shift"

@@ -96,6 +96,7 @@ def surface_of(own, wanted):
         ("lidar", 5.0, True, (0.1, 0.05)),
     ),
 )
+@pytest.mark.long
 def test_a_known_shift_is_found_with_an_honest_deviation(kind, metres, town, bars):
     shift, solved = found(3, kind, metres, town)
     error = np.abs(solved.moved - shift)

@@ -63,6 +63,7 @@ def test_the_sites_are_all_that_there_are(shared_data):
 
 @pytest.mark.parametrize("pointing", [SHIFT, AFFINE], ids=["shift", "affine"])
 @pytest.mark.parametrize("site", SITES)
+@pytest.mark.long
 def test_gdal_sees_the_pointed_model_in_every_form(site, pointing, shared_data, tmp_path, write_image):
     for number, path in enumerate(files_of(site, shared_data)):
         rpc = read_rpc_file(str(path))

@@ -48,6 +48,7 @@ def careless(path: str) -> Rpc:
     return read_rpc_file(path)
 
 
+@pytest.mark.long
 def test_a_reader_that_takes_zeros_for_missing_numbers_would_be_found():
     """The fuzz itself can fail: with a careless reader it does."""
     assert fuzz(400, seed=3, read=careless).wrong

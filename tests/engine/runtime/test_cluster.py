@@ -140,6 +140,7 @@ def test_a_task_whose_worker_dies_is_done_again_elsewhere(cluster, on, tmp_path)
     cluster.renew()
 
 
+@pytest.mark.long
 def test_a_tile_that_kills_every_worker_is_named_and_the_rest_is_done(start_cluster, on, tmp_path):
     block, said = on(start_cluster(workers=5))
     words = r"1 of 12 tasks lost four workers each, most likely because memory ran out \(tile 3\); all others are done"
@@ -157,6 +158,7 @@ def test_a_scheduler_that_dies_ends_the_run_in_a_sentence(start_cluster, on):
     assert time.monotonic() - start < 15
 
 
+@pytest.mark.long
 def test_a_scheduler_that_dies_while_workers_are_asked_is_the_same_sentence(start_cluster, on, monkeypatch):
     from repm_qgis.runtime import cluster as cluster_module  # Dask may be missing
 

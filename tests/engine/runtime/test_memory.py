@@ -28,6 +28,8 @@ from repm_qgis.runtime.memory import (
     workers_within,
 )
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parents[3]
 BEGIN = """
 import json, sys

@@ -114,6 +114,7 @@ NAMES = tuple(writers(Path()))
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("older", (False, True))
+@pytest.mark.long
 def test_a_file_that_finds_no_space_is_not_written_and_the_older_one_stays(made, tmp_path, name, older):
     work, path = writers(made)[name], str(tmp_path / name)
     if older:
@@ -134,6 +135,7 @@ def test_a_file_that_finds_no_space_is_not_written_and_the_older_one_stays(made,
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.long
 def test_too_many_open_files(made, tmp_path, name):
     work, path = writers(made)[name], str(tmp_path / name)
     work(path)

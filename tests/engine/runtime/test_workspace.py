@@ -455,6 +455,7 @@ def test_what_replaces_a_file_has_its_permissions(tmp_path, mode):
 
 @pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
 @pytest.mark.parametrize("name", ("report.html", "scene.json", "equivalent_error.html", "refinement.html"))
+@pytest.mark.long
 def test_a_link_that_came_with_a_workspace_is_replaced_and_not_followed(urban, told, tmp_path, name):
     precious, workspace_folder = tmp_path / "precious", tmp_path / "received"
     precious.write_text("years of work")

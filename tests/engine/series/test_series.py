@@ -285,6 +285,7 @@ def test_confidences_state_errors_and_what_was_filled(dates, tmp_path, told):
     assert 1.5 < ratio < 2.1
 
 
+@pytest.mark.long
 def test_blocks_change_nothing(dates, tmp_path, told):
     made = []
     for name, side in (("one", 1024), ("many", 64)):

@@ -81,6 +81,7 @@ def test_rays_meet_a_plane_where_it_is():
 
 
 @pytest.mark.parametrize("kind", ["urban", "mountains"])
+@pytest.mark.long
 def test_rays_stop_at_the_first_thing_they_meet(kind):
     east, north = projected_from_geodetic(CRS, np.array(CENTRE))
     bounds = (east - 130, north - 130, east + 130, north + 130)

@@ -58,6 +58,7 @@ def scene(request, tmp_path_factory):
     return Scene(request.param, tmp_path_factory.mktemp(request.param))
 
 
+@pytest.mark.long
 def test_result_and_files(scene):
     assert set(scene.result) == {"folder", "images", "truth", "gcps", "rpc_fit_max_px"}
     assert json.dumps(scene.result)

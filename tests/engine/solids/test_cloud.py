@@ -80,6 +80,7 @@ def test_roofs_that_the_dsm_cut_are_gone_and_walls_stay(urban_run, gathered, tmp
     assert ((off > 2.0) & east[places(after, cut)]).sum() > 100
 
 
+@pytest.mark.long
 def test_in_another_crs_each_point_is_there_once(urban_run, gathered, tmp_path, told):
     """Tiles are turned there, and their windows overlap."""
     scene = Scene.load(urban_run.result["scene"])

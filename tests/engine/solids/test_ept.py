@@ -129,6 +129,7 @@ def large(tmp_path_factory):
 SMALL = EptParameters(leaf=4000, batch=20000, chunk=30000)  # out of core with few points
 
 
+@pytest.mark.long
 def test_each_point_is_in_one_node_however_the_work_is_parted(tmp_path, large):
     write_ept(large, str(tmp_path / "parts"), CRS, parameters=SMALL)
     _, hierarchy, nodes = check(tmp_path / "parts", large)

@@ -222,6 +222,7 @@ def test_steps_stay_sharp_where_few_vertices_are_left(tmp_path):
     np.testing.assert_allclose(assert_sound(vertices, faces, heights)[0], heights, atol=1e-3)
 
 
+@pytest.mark.long
 def test_strips_join_without_cracks_and_leave_no_lines(tmp_path):
     heights, _ = town(120, 150)
     heights += np.random.default_rng(6).normal(0, 0.05, heights.shape)

@@ -122,6 +122,7 @@ def test_every_vertex_is_a_cell_at_its_height_in_geocentric_coordinates(made):
     assert 0.02 < seen.mean() < 0.5  # cells that the triangles do not need are no vertices
 
 
+@pytest.mark.long
 def test_holes_stay_open_and_everything_else_is_covered(made):
     folder, tileset, _ = made
     covered = np.zeros((ROWS, COLUMNS), bool)
@@ -149,6 +150,7 @@ def drawn(folder, entry, tileset):
     return found
 
 
+@pytest.mark.long
 def test_stated_errors_are_true(made):
     folder, tileset, facts = made
     heights, step = town(), {0: 4 * CELL, 1: 2 * CELL, 2: 0.0}

@@ -40,6 +40,7 @@ def corner(path):
     return place[0], place[3]
 
 
+@pytest.mark.long
 def test_heights_are_chosen_and_each_says_where_it_comes_from(fused, as_they_are, urban, tmp_path):
     plain, before, without, _ = fused("plain", as_they_are)
     dsm, after, facts, _ = fused("chosen")
@@ -58,6 +59,7 @@ def test_heights_are_chosen_and_each_says_where_it_comes_from(fused, as_they_are
     assert facts["background"] == unmatched.sum() and facts["valid"] == np.isfinite(dsm).sum()
 
 
+@pytest.mark.long
 def test_without_filling_only_matched_heights_are_left(fused):
     dsm, confidence, facts, _ = fused("none", fill="none")
     assert set(np.unique(confidence[3][np.isfinite(confidence[3])])) == {Provenance.MATCHED}

@@ -84,6 +84,7 @@ def test_what_is_stated_decides_what_is_to_be_expected(urban_run, urban, tmp_pat
     assert not DemOffset("dem.tif", 500.0, 0.1).unexpected
 
 
+@pytest.mark.long
 def test_a_dem_that_cannot_be_compared_stops_nothing(urban_run, urban, tmp_path, told):
     """Too few of its cells, and none at all."""
     few = dem_of(urban, tmp_path, 0.0, 10, (slice(0, 5), slice(0, 5)))

@@ -45,6 +45,7 @@ def score(dsm, truth, cell):
     return 1.4826 * np.median(np.abs(known - np.median(known))), len(known) / seen.sum()
 
 
+@pytest.mark.long
 def test_mixed_pairs_are_as_good_as_the_coarser_sensors_own(urban, coarse, tmp_path, told):
     """On average over both orders: with rounding alone the scatter of one such pair moves by 0.02 m."""
     mixed = {"fine": [urban.images[0], coarse[2]], "coarse": [coarse[0], urban.images[2]]}  # named by the first image

@@ -52,6 +52,7 @@ def test_the_pipeline_hands_them_to_its_stages(urban, told, tmp_path):
     assert Scene.load(str(tmp_path / "refined.json")).record_of("refine").parameters == strict.changes()
 
 
+@pytest.mark.long
 def test_matching_and_fusion_take_them(urban_run, told, tmp_path):
     said, path = told(), str(tmp_path / "dsm.tif")
     wide = replace(ENGINE, tiles=replace(ENGINE.tiles, cell_gsd=8.0, few_cells_percent=101.0))

@@ -173,6 +173,7 @@ def test_an_ept_comes_without_a_cloud_too(urban_run, tmp_path, told):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dsm.qml", "dsm.tif", "ept", "m.ply", "m.qml"]
 
 
+@pytest.mark.long
 def test_a_cloud_as_ply_with_normals_comes_with_an_ept(urban_run, tmp_path, told):
     files = {"output": str(tmp_path / "d.tif"), "cloud": str(tmp_path / "c.ply"), "ept": str(tmp_path / "e")}
     wanted = {"scene": urban_run.result["scene"], "resolution": 0.5, "cloud_normals": True, "workers": 1, **files}
@@ -288,6 +289,7 @@ def test_stages_one_by_one_give_the_same_dsm(urban, urban_run, tmp_path, told):
     np.testing.assert_array_equal(ours[0], theirs[0])
 
 
+@pytest.mark.long
 def test_two_workers_give_the_same_dsm(urban, urban_run, tmp_path, told):
     result = run_stage(
         "pipeline",
@@ -344,6 +346,7 @@ def test_an_extent_cuts_the_dsm(urban, tmp_path, told):
 
 
 @pytest.mark.parametrize("crs", ("EPSG:32630", "EPSG:2154"))
+@pytest.mark.long
 def test_another_crs_has_no_seams_and_the_same_heights(urban, urban_run, tmp_path, told, crs):
     """Tiles are turned in another CRS, and their boxes overlap: no cell may be lost to a neighbour's empty corner."""
     fused = run_stage(

@@ -277,6 +277,7 @@ def test_a_reference_elsewhere_is_told_before_anything_is_matched(mountains, ref
     assert not (tmp_path / "ws" / "reconstructed.json").exists()
 
 
+@pytest.mark.long
 def test_the_pipeline_registers_before_it_fuses(mountains, reference, tmp_path, pipeline):
     none = dict.fromkeys(("confidence", "ortho", "cloud", "ept", "mesh"))
     path = reference("pipeline.tif")
@@ -322,6 +323,7 @@ def test_scenes_that_overlap_meet_in_the_middle_without_a_reference(apart, tmp_p
     assert abs(np.nanmedian(one[:rows, :columns] - other[:rows, :columns])) < 0.05
 
 
+@pytest.mark.long
 def test_one_scene_on_a_reference_takes_its_neighbours_along(apart, reference, tmp_path, told):
     """A reference tells the place of all: the overlap hands it on."""
     first, second = apart

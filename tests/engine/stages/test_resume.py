@@ -19,6 +19,8 @@ from repm_qgis.contracts.errors import Cancelled, EmptyResultError, SceneError
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 
+pytestmark = pytest.mark.long
+
 LEAVE_HALF = """
 import os, sys
 from repm_qgis.runtime.workspace import temporary_name

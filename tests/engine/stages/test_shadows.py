@@ -66,6 +66,7 @@ def test_what_takes_the_ground_of_a_shadow_is_marked_and_counted(urban_run, tmp_
     assert facts["matched"] + facts["background"] + facts["interpolated"] == np.isfinite(dsm).sum()
 
 
+@pytest.mark.long
 def test_a_scene_without_walls_has_no_shadows(urban_run, tmp_path, told, as_they_are):
     plain, _, _ = fused(urban_run, tmp_path / "plain", told(), "", as_they_are)
     timed, confidence, _ = fused(urban_run, tmp_path / "timed", told(), AFTERNOON, as_they_are)
@@ -73,6 +74,7 @@ def test_a_scene_without_walls_has_no_shadows(urban_run, tmp_path, told, as_they
     assert not (confidence[3] == Provenance.SHADOW).any()
 
 
+@pytest.mark.long
 def test_nothing_is_filled_where_nothing_is_wanted(urban_run, tmp_path, told, begun):
     plain, _, _ = fused(urban_run, tmp_path / "none", told(), "", begun, fill="none")
     timed, _, _ = fused(urban_run, tmp_path / "timed_none", told(), AFTERNOON, begun, fill="none")

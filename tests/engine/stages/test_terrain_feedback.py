@@ -57,6 +57,7 @@ def test_the_coarse_surface_is_the_ground(mountains, mountains_run, told):
     assert found.altitudes((west - 5000, south, west - 4000, north)) is None
 
 
+@pytest.mark.long
 def test_tiles_that_ties_do_not_cover_get_their_altitudes_from_the_surface(mountains, told, tmp_path):
     """Parameters that search the small scene in patches, as a large one: its ties do not cover the tiles."""
     patches = replace(ENGINE.pointing.ties.patches, whole_px=150, least_px=130, most_px=130)

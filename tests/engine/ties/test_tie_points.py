@@ -222,6 +222,7 @@ def test_rpcs_that_are_wrong_by_tens_of_pixels(found, told, errors):
 IN_CELLS = dataclasses.replace(TIES, patches=dataclasses.replace(TIES.patches, whole_px=150, least_px=130, most_px=130))
 
 
+@pytest.mark.long
 def test_a_large_scene_is_searched_in_patches_the_same_on_any_number_of_workers(found, told):
     truth, scene, _, stretches = found
     pair = tuple(view.name for view in scene.views[:2])

@@ -16,7 +16,7 @@ from repm_qgis.runtime.translation import written_in
 from repm_qgis.stages import run_stage
 from tests.browser import PROGRAM, Browser
 
-pytestmark = pytest.mark.skipif(PROGRAM is None, reason="needs Chromium, which draws the page")
+pytestmark = [pytest.mark.long, pytest.mark.skipif(PROGRAM is None, reason="needs Chromium, which draws the page")]
 
 UTM = pyproj.CRS("EPSG:32631").to_wkt()
 WEST, NORTH, CELL = 500000.0, 4800000.0, 0.5
