@@ -213,9 +213,10 @@ def test_reuse_asks_for_the_last_stage_and_its_fingerprint(fitted):
     assert reusable(fitted + "gone", "refine", scene.fingerprint) is None
 
 
-def test_saving_where_it_cannot_be(fitted):
-    with pytest.raises(WorkspaceError, match="/proc/nowhere"):
-        Scene.load(fitted).save("/proc/nowhere/scene.json")
+def test_saving_where_it_cannot_be(fitted, tmp_path):
+    (tmp_path / "a file").write_text("")
+    with pytest.raises(WorkspaceError, match="a file"):
+        Scene.load(fitted).save(str(tmp_path / "a file" / "scene.json"))
 
 
 def test_views_of_the_same_name_are_told_apart(tmp_path, urban, write_image):
