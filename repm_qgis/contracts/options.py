@@ -767,6 +767,35 @@ class DtmOptions(Options):
 
 
 @dataclass(frozen=True)
+class BuildingsOptions(Options):
+    """Find the buildings of a DSM: footprints, heights with errors, and simple roofs.
+
+    ``dtm`` is the terrain below it, None: it is made first. ``confidence`` is the DSM's raster of expected errors, and
+    ``ortho`` an orthophoto whose near infrared tells plants; None where there is none. Buildings are at least
+    ``min_height`` m tall and ``min_area`` m2 large. ``output`` are the footprints, ``cityjson`` the solids; None = not
+    wanted. ``workers``, ``memory`` and ``cluster``, for the terrain, as in ``ReconstructOptions``.
+    """
+
+    dsm: str = read()
+    output: str = given()
+    dtm: Optional[str] = read(None)
+    confidence: Optional[str] = read(None)
+    ortho: Optional[str] = read(None)
+    min_height: float = number(2.5, 1, 100, "m")
+    min_area: float = number(20.0, 4, 1e6, "m2")
+    cityjson: Optional[str] = None
+    report: Optional[str] = None
+    workers: int = whole(0, 0, 1024)
+    memory: int = whole(0, 0, 1 << 24, "MiB")
+    cluster: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.cityjson and not self.cityjson.lower().endswith(".json"):
+            raise OptionError("CITYJSON", self.cityjson, "must end with .json, such as town.city.json")
+
+
+@dataclass(frozen=True)
 class EditDsmOptions(Options):
     """Apply edits to a DSM, in the order of their numbers, and write a new one.
 

@@ -65,6 +65,7 @@ STYLES = (
     Style("error", "viridis", off=True, template="ramp", unit=" px"),
     Style("dsm_error", "diverging", template="ramp", unit=" m"),
     Style("volumes"),
+    Style("buildings"),
     Style("contours"),
     Style("significant", "diverging", template="ramp", unit=" m"),
     Style(
@@ -210,6 +211,8 @@ _MOSAIC = "A name that ends in .vrt gives a folder of tiles and a VRT that shows
 _TERRAIN = "Heights of the bare ground in metres as a GeoTIFF, in the vertical datum of the DSM."
 _OBJECT_HEIGHTS = "The DSM minus the terrain in metres: how high houses and trees are."
 _OBJECTS = "1 where something stands on the ground, 0 where the DSM shows the ground, 255 where it has no height."
+_BUILDINGS = "Outlines with straight walls; height above the ground with its error, kind of roof, area and volume."
+_CITYJSON = "Closed solids of the buildings for 3-D programs: blocks, and roofs where the DSM shows them."
 _EDITED = "The DSM with all edits that are enabled, as a GeoTIFF; the original stays as it is."
 _EDITED_CONFIDENCE = 'The confidence raster, in which edited heights have the source "edited" and no expected error.'
 _REPORTS = {
@@ -220,6 +223,7 @@ _REPORTS = {
     "pipeline": "Report of the run",
     "mosaic": "Report of the mosaic",
     "dtm": "Report of the terrain",
+    "buildings": "Report of the buildings",
     "errormap": "Report of the equivalent error",
     "comparedsm": "Report of the comparison",
     "change": "Report of the change",
@@ -274,6 +278,10 @@ PRODUCTS = (
         "dtm", "heights", "Heights above the terrain", RASTER, UNLESS_SKIPPED, "object_heights", help=_OBJECT_HEIGHTS
     ),
     Product("dtm", "mask", "Objects", RASTER, style="objects", help=_OBJECTS),
+    Product("buildings", "output", "Buildings", POLYGONS, ALWAYS, "buildings", help=_BUILDINGS),
+    Product(
+        "buildings", "cityjson", "Buildings in 3-D (CityJSON)", FILE, filter="CityJSON (*.json)", help=_CITYJSON
+    ),
     Product("editdsm", "output", "Edited DSM", RASTER, ALWAYS, "dsm", help=_EDITED),
     Product(
         "editdsm",

@@ -47,18 +47,34 @@ def natural_bands(dataset: gdal.Dataset, sensor: str = "") -> Optional[Tuple[int
 def water_bands(dataset: gdal.Dataset, sensor: str = "") -> Optional[Tuple[int, int]]:
     """The numbers of an image's green and near infrared bands, which tell water from land; None where nothing says
     which they are. ``sensor`` is as in :func:`natural_bands`."""
-    natural, order = natural_bands(dataset, sensor), _vendors_order(dataset, sensor)
-    texts, meanings = _descriptions(dataset), colour_interpretations(dataset)
-    greens = [index for index, text in enumerate(texts, start=1) if _colour_of(text) == "green"]
-    infrared = [index for index, text in enumerate(texts, start=1) if _NEAR_INFRARED.search(text.lower())]
-    if not infrared:
-        infrared = [index for index, meaning in enumerate(meanings, start=1) if meaning == _GDALS_INFRARED]
-    if not infrared and _INFRARED in order:
-        infrared = [order.index(_INFRARED) + 1]
-    green = natural[1] if natural else greens[0] if len(greens) == 1 else 0
-    if not green or len(infrared) != 1 or infrared[0] == green:
-        return None
-    return green, infrared[0]
+    natural, infrared = natural_bands(dataset, sensor), _infrared_band(dataset, sensor)
+    green = natural[1] if natural else _described(dataset, "green")
+    return (green, infrared) if green and infrared and infrared != green else None
+
+
+def vegetation_bands(dataset: gdal.Dataset, sensor: str = "") -> Optional[Tuple[int, int]]:
+    """The numbers of an image's red and near infrared bands, which tell plants from all else, as :func:`water_bands`
+    gives others."""
+    natural, infrared = natural_bands(dataset, sensor), _infrared_band(dataset, sensor)
+    red = natural[0] if natural else _described(dataset, "red")
+    return (red, infrared) if red and infrared and infrared != red else None
+
+
+def _described(dataset: gdal.Dataset, colour: str) -> int:
+    """The number of the band that is called after a colour; 0 where there is none, or there are several."""
+    found = [index for index, text in enumerate(_descriptions(dataset), start=1) if _colour_of(text) == colour]
+    return found[0] if len(found) == 1 else 0
+
+
+def _infrared_band(dataset: gdal.Dataset, sensor: str) -> int:
+    """The number of the near infrared band; 0 where nothing says which one it is."""
+    order = _vendors_order(dataset, sensor)
+    found = [i for i, text in enumerate(_descriptions(dataset), start=1) if _NEAR_INFRARED.search(text.lower())]
+    if not found:
+        found = [i for i, meaning in enumerate(colour_interpretations(dataset), start=1) if meaning == _GDALS_INFRARED]
+    if not found and _INFRARED in order:
+        found = [order.index(_INFRARED) + 1]
+    return found[0] if len(found) == 1 else 0
 
 
 def _vendors_order(dataset: gdal.Dataset, sensor: str) -> Sequence[str]:

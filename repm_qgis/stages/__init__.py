@@ -34,6 +34,7 @@ STAGES: dict[str, type[_options.Options]] = {
     "pipeline": _options.PipelineOptions,
     "mosaic": _options.MosaicOptions,
     "dtm": _options.DtmOptions,
+    "buildings": _options.BuildingsOptions,
     "editdsm": _options.EditDsmOptions,
     "comparedsm": _options.CompareDsmOptions,
     "change": _options.ChangeOptions,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import List, Tuple
 
+from ..buildings.parameters import BuildingParameters
 from ..contracts.parameters import Parameters
 from ..fusion.parameters import FusionParameters
 from ..imagery.parameters import StretchParameters
@@ -52,6 +53,7 @@ class EngineParameters(Parameters):
     registration: RegistrationParameters = RegistrationParameters()
     mosaic: MosaicParameters = MosaicParameters()
     terrain: TerrainParameters = TerrainParameters()
+    buildings: BuildingParameters = BuildingParameters()
 
     def of_quality(self, quality: str) -> "EngineParameters":
         """These parameters with what QUALITY ``fast`` or ``best`` changes; `make bench-towns` measures both."""

@@ -1,0 +1,1 @@
+"""Buildings of a DSM: footprints, their heights with errors, and simple roofs (docs/algorithms/buildings.md)."""

@@ -1,0 +1,83 @@
+"""All buildings of a DSM: from its cells to footprints, heights, roofs and solids."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import List
+
+from osgeo import ogr
+
+from ..contracts.errors import ImageError
+from ..contracts.options import BuildingsOptions
+from ..imagery.raster import quiet
+from ..runtime.progress import Progress
+from ..terrain.inputs import Surface
+from .building import Building, building_of
+from .cells import Rasters
+from .footprints import borders, write_cells
+from .parameters import BUILDINGS, BuildingParameters
+from .regularisation import apart, regular
+from .segments import divided
+
+
+@dataclass(frozen=True)
+class FoundBuildings:
+    """The buildings, the largest first, of a surface; ``shows_plants``: whether an orthophoto told plants."""
+
+    surface: Surface
+    buildings: List[Building]
+    shows_plants: bool
+    warnings: List[str]
+
+
+def require_metres(surface: Surface) -> None:
+    """Raise ImageError for a DSM whose cells do not run east and south in metres."""
+    _, right, turn, _, tilt, down = surface.transform
+    straight = turn == tilt == 0 and right > 0 > down
+    if not straight or abs(right - surface.cell) > 0.01 * surface.cell:
+        raise ImageError(
+            f"The cells of the DSM '{surface.path}' do not run east and south in metres: bring it into a projected CRS "
+            "in metres first (Raster > Projections > Warp)."
+        )
+
+
+def find_buildings(
+    options: BuildingsOptions,
+    surface: Surface,
+    terrain: str,
+    folder: str,
+    progress: Progress,
+    parameters: BuildingParameters = BUILDINGS,
+) -> FoundBuildings:
+    """Find the buildings of a DSM above a terrain; ``folder`` takes what exists between.
+
+    Raises ImageError and OverlapError for rasters that cannot be used, WorkspaceError.
+    """
+    require_metres(surface)
+    with ExitStack() as stack, quiet():
+        rasters = Rasters(surface, terrain, options.ortho, stack)
+
+        def step(share: float) -> None:
+            progress.check_cancelled()
+            progress.step(0.4 * share, "looking for buildings")
+
+        cells = f"{folder}/cells.tif"
+        write_cells(rasters, cells, options.min_height, step, parameters)
+        found = borders(cells, surface.cell, options.min_area, parameters.footprints.hole_m2, progress.check_cancelled)
+        shapes: List[ogr.Geometry] = []
+        for number, border in enumerate(sorted(found, key=lambda each: -each.area)):
+            progress.check_cancelled()
+            progress.step(0.4 + 0.1 * number / len(found), "straightening outlines")
+            parts = divided(rasters, ogr.CreateGeometryFromWkb(border.outline), parameters)
+            shapes += [regular(part, surface.cell, parameters.outlines) for part in parts]
+        buildings: List[Building] = []
+        for number, shape in enumerate(apart(shapes)):
+            progress.check_cancelled()
+            progress.step(0.5 + 0.5 * number / max(len(shapes), 1), "measuring roofs")
+            if shape.GetArea() < options.min_area:
+                continue
+            building = building_of(rasters, shape, len(buildings) + 1, parameters)
+            if building is not None and building.heights.tall >= options.min_height:
+                buildings.append(building)
+        return FoundBuildings(surface, buildings, rasters.shows_plants, rasters.warnings)

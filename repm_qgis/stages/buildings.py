@@ -1,0 +1,97 @@
+"""Buildings of a DSM: footprints with heights and their errors, and closed solids with simple roofs."""
+
+from __future__ import annotations
+
+import os
+import time
+from typing import Dict, Tuple
+
+from ..buildings.cityjson import write_cityjson
+from ..buildings.finding import FoundBuildings, find_buildings, require_metres
+from ..buildings.layer import write_footprints
+from ..buildings.page import buildings_page
+from ..contracts.options import BuildingsOptions, DtmOptions
+from ..evaluation.grids import Grid
+from ..geometry.frames import flat_crs
+from ..imagery.raster import opened
+from ..names import surface_title
+from ..reports.styles import write_style
+from ..runtime.parallel import kept_workers, run_whole
+from ..runtime.progress import Part, Progress, Recorder, counted
+from ..runtime.workspace import temporary_folder
+from ..terrain.inputs import Surface, surface_of
+from . import dtm
+from .parameters import ENGINE, EngineParameters
+
+_TERRAIN_SHARE = 0.5  # of the progress, where the terrain is made first
+_Task = Tuple[BuildingsOptions, Surface, str, str, EngineParameters]
+
+
+def run(options: BuildingsOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, object]:
+    """Find the buildings, and write them; gives the products' paths, and how many buildings there are.
+
+    Raises ImageError and OverlapError for rasters that cannot be used, EmptyResultError where there is no ground,
+    WorkspaceError, OutOfMemoryError and ClusterError.
+    """
+    start, progress = time.monotonic(), Recorder(progress)
+    surface = surface_of(options.dsm, options.confidence)
+    require_metres(surface)
+    with kept_workers(), temporary_folder(options.output) as folder:
+        terrain, share = options.dtm, 0.0
+        if not terrain:
+            terrain, share = f"{folder}/dtm.tif", _TERRAIN_SHARE
+            made = DtmOptions(
+                dsm=options.dsm,
+                confidence=options.confidence,
+                output=terrain,
+                workers=options.workers,
+                memory=options.memory,
+            )
+            dtm.run(made, Part(progress, 0.0, share), parameters)
+        task = options, surface, str(terrain), folder, parameters
+        result = run_whole(_found, task, Part(progress, share, 1.0), "finding buildings")
+        progress.step(1.0, "Buildings found")
+    return {**result, "seconds": round(time.monotonic() - start, 3)}
+
+
+def _found(task: _Task, progress: Progress) -> Dict[str, object]:
+    options, surface, terrain, folder, parameters = task
+    found = find_buildings(options, surface, terrain, folder, Part(progress, 0.0, 0.9), parameters.buildings)
+    for text in found.warnings:
+        progress.warn(text)
+    if options.ortho and not found.shows_plants:
+        progress.info(
+            f"'{options.ortho}' names no near infrared band: trees are told from roofs by their heights alone."
+        )
+    if not found.buildings:
+        progress.warn(
+            f"No building of at least {options.min_height:g} m and {options.min_area:g} m2 was found: the layer is "
+            "empty. Choose a smaller MIN_HEIGHT or MIN_AREA, or check that DTM is the terrain below this DSM."
+        )
+    progress.step(0.9, "writing the buildings")
+    _write(options, found, terrain, progress)
+    roofed = sum(each.lod == 2 for each in found.buildings)
+    progress.info(
+        f"{counted(len(found.buildings), 'building')}, {roofed} of them with the planes of their roofs, on "
+        f"{sum(each.area for each in found.buildings):.0f} m2."
+    )
+    return {
+        "output": options.output,
+        "cityjson": options.cityjson,
+        "report": options.report,
+        "n_buildings": len(found.buildings),
+        "n_roofed": roofed,
+        "area_m2": float(sum(each.area for each in found.buildings)),
+        "volume_m3": float(sum(each.volume for each in found.buildings)),
+    }
+
+
+def _write(options: BuildingsOptions, found: FoundBuildings, terrain: str, progress: Progress) -> None:
+    with opened(options.dsm) as dataset:
+        crs = flat_crs(Grid.of(dataset).crs)
+    write_footprints(options.output, crs.to_wkt("WKT2_2019"), found.buildings, os.path.basename(options.dsm))
+    write_style("buildings", options.output)
+    if options.cityjson:
+        write_cityjson(options.cityjson, found.buildings, crs, found.surface.datum, surface_title(options.dsm))
+    if options.report:
+        buildings_page(options, found, terrain).of(surface_title(options.dsm)).write(options.report)
