@@ -10,6 +10,7 @@ from qgis.PyQt.QtGui import QIcon
 
 from . import settings
 from .base import PLUGIN_FOLDER, resource
+from .buildings import Buildings
 from .change import Change
 from .checkgcps import CheckGcps
 from .comparedsm import CompareDsm
@@ -43,6 +44,7 @@ ALGORITHMS = (
     DsmFuse,
     Mosaic,
     Dtm,
+    Buildings,
     EditDsm,
     Pipeline,
     CompareDsm,

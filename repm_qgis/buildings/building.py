@@ -17,7 +17,7 @@ from .cells import Cells, Rasters
 from .footprints import disc, in_cells
 from .parameters import BUILDINGS, BuildingParameters
 from .partition import Frame, roof_parts, whole
-from .roofs import Plane, RoofCells, RoofPlanes, kind_of, roof_planes, spread
+from .roofs import FLAT, Plane, RoofCells, RoofPlanes, kind_of, roof_planes, spread
 from .solids import Face, RoofPart, is_closed, is_flat, solid, volume
 
 
@@ -93,7 +93,7 @@ def building_of(
     usual = rasters.surface.usual_error
     noise = max(usual, _ground_error(patch, rasters.surface.cell, parameters))
     planes = roof_planes(patch.roof, noise, parameters.roofs)
-    heights = patch.roof.height[known].astype(np.float64)
+    heights = _roof_heights(patch, planes, known)
     eave, median, ridge = np.percentile(
         heights, (parameters.heights.eave_percent, 50.0, parameters.heights.ridge_percent)
     )
@@ -120,7 +120,7 @@ def building_of(
             level_residual=level,
             measured=float(patch.cells.measured[patch.roof.inside].mean()),
         ),
-        kind=kind_of(planes.planes, parameters.roofs),
+        kind=planes.kind(parameters.roofs),
         planes=planes.planes,
         origin=patch.frame.origin,
         block=block,
@@ -148,6 +148,15 @@ def _patch(rasters: Rasters, footprint: ogr.Geometry, parameters: BuildingParame
     roof = RoofCells(cells.surface, within, inner, *every, surface.cell)
     rim = ndimage.binary_dilation(within, disc(1)) & ~ndimage.binary_erosion(within, disc(1))
     return _Patch(cells, roof, Frame(origin, transform), rim)
+
+
+def _roof_heights(patch: _Patch, roof: RoofPlanes, known: Mask) -> FloatArray:
+    """(N,) heights of a roof, m: those of its inner cells, and beside its walls those of its planes, or slopes would
+    lack their lower ends."""
+    inner = patch.roof.height[known].astype(np.float64)
+    beside = patch.roof.inside & ~known
+    planes = [plane.at(patch.roof.x, patch.roof.y)[beside & (roof.numbers == i)] for i, plane in enumerate(roof.planes)]
+    return np.concatenate([inner, *planes])
 
 
 def _ground(patch: _Patch) -> float:
@@ -189,7 +198,7 @@ def _roofed(
 ) -> Tuple[List[Face], float]:
     """The solid with the roof's planes and the spread of the heights about them; no solid, and the spread about one
     height, where that is as good."""
-    if not roof.planes or kind_of(roof.planes, parameters.roofs) == "flat":
+    if not roof.planes or (len(roof.planes) == 1 and kind_of(roof.planes, parameters.roofs) == FLAT):
         return [], level
     origin = patch.frame.origin
     if len(roof.planes) == 1:

@@ -65,7 +65,13 @@ def building_cells(
     core = ndimage.binary_opening(planar, disc(in_cells(parameters.opening_m, cell)))
     found = high & (ndimage.distance_transform_edt(~core) <= in_cells(parameters.rim_m, cell)) if core.any() else core
     closing = disc(in_cells(parameters.closed_m, cell))
-    return np.asarray(ndimage.binary_opening(ndimage.binary_closing(found, closing), closing))
+    return without_tails(np.asarray(ndimage.binary_closing(found, closing)), in_cells(parameters.closed_m, cell))
+
+
+def without_tails(cells: Mask, radius: int) -> Mask:
+    """The cells without parts that are narrower than a disc; corners, which an opening alone would round, stay."""
+    opened = ndimage.binary_opening(cells, disc(radius))
+    return np.asarray(cells & ndimage.binary_dilation(opened, disc(radius + 1)))
 
 
 def _above_half(above: FloatImage, least_m: float, reach: int) -> Mask:

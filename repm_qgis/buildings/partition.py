@@ -143,10 +143,8 @@ def _outlines(mask: Mask, frame: Frame, cell: float, parameters: BuildingParamet
 def _faces(footprint: ogr.Geometry, lines: Sequence[ogr.Geometry]) -> List[ogr.Geometry]:
     """The faces into which lines divide a footprint: they have all places of their common borders in common."""
     net = footprint.GetBoundary()
-    for line in lines:
-        inside = line.Intersection(footprint)
-        if inside is not None and not inside.IsEmpty():
-            net = net.Union(inside)
+    for line in lines:  # whole ones: the end of one that was cut there would not exactly be on the outline
+        net = net.Union(line)
     net = _rounded(net)
     if net is None:
         return []

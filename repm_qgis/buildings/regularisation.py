@@ -18,6 +18,7 @@ from ..contracts.arrays import FloatArray, IntArray
 from .parameters import BUILDINGS, OutlineParameters
 
 _ROUNDED = 3  # decimals of coordinates in metres
+_ROUND_M = 1.5  # at corners the border of cells is round
 _PARALLEL = math.sin(math.radians(20.0))
 
 
@@ -42,7 +43,7 @@ def regular(border: ogr.Geometry, cell: float, parameters: OutlineParameters = B
     apart = max(parameters.offset_m, parameters.offset_cells * cell)
     rings = [_ring(border.GetGeometryRef(number)) for number in range(border.GetGeometryCount())]
     kept = [simplified(ring, tolerance) for ring in rings]
-    angle = main_direction(rings[0][kept[0]], parameters)
+    angle = main_direction(rings[0], kept[0], parameters)
     made = [
         _walls(ring, corners, angle, apart, parameters) if len(corners) > 2 else None
         for ring, corners in zip(rings, kept)
@@ -94,11 +95,38 @@ def simplified(ring: FloatArray, tolerance: float) -> IntArray:
     return np.array(sorted(kept), np.int64)
 
 
-def main_direction(corners: FloatArray, parameters: OutlineParameters = BUILDINGS.outlines) -> float:
-    """The direction, radians in 0..pi/2, that the walls of a ring (N, 2) run along or at right angles to: the one from
-    which their lengths deviate least, and of the walls near it the mean."""
-    along = np.roll(corners, -1, axis=0) - corners
-    lengths, angles = np.hypot(*along.T), np.arctan2(along[:, 1], along[:, 0])
+def _part(ring: FloatArray, start: int, end: int) -> Tuple[FloatArray, FloatArray]:
+    """Middles (N, 2) and lengths (N,) of the border from one corner to another, without its ends, which are rounded."""
+    count = len(ring)
+    places = ring[np.arange(start, end + 1 if end > start else end + 1 + count) % count]
+    middles, steps = (places[1:] + places[:-1]) / 2, places[1:] - places[:-1]
+    lengths = np.hypot(*steps.T)
+    away = np.cumsum(lengths) - lengths / 2
+    cut = min(_ROUND_M, away[-1] / 4)
+    inner = (away > cut) & (away < lengths.sum() - cut)
+    return (middles[inner], steps[inner]) if inner.sum() > 1 else (middles, steps)
+
+
+def _direction(ring: FloatArray, start: int, end: int) -> float:
+    """The direction of a wall, radians: the first principal axis of the border along it."""
+    chord = ring[end] - ring[start]
+    middles, steps = _part(ring, start, end)
+    weights = np.hypot(*steps.T)
+    around = middles - (middles * weights[:, None]).sum(axis=0) / weights.sum()
+    _, axes = np.linalg.eigh((around * weights[:, None]).T @ around)
+    axis = axes[:, 1] * (1.0 if axes[:, 1] @ chord >= 0 else -1.0)
+    straight = len(middles) > 3 and abs(axis @ chord) > 0.9 * np.hypot(*chord)
+    return math.atan2(axis[1], axis[0]) if straight else math.atan2(chord[1], chord[0])
+
+
+def main_direction(
+    ring: FloatArray, corners: IntArray, parameters: OutlineParameters = BUILDINGS.outlines
+) -> float:
+    """The direction, radians in 0..pi/2, that the walls between corners of a ring (N, 2) run along or at right angles
+    to: the one from which their lengths deviate least, and of the walls near it the mean."""
+    ends = np.roll(corners, -1)
+    lengths = np.hypot(*(ring[ends] - ring[corners]).T)
+    angles = np.array([_direction(ring, start, end) for start, end in zip(corners, ends)])
     quarter = math.pi / 2
 
     def away(direction: float) -> FloatArray:
@@ -141,16 +169,15 @@ def _walls(
 
 def _line(ring: FloatArray, start: int, end: int, main: float, parameters: OutlineParameters) -> Line:
     """The line of the border from one corner to another, along a main direction where it is near to one."""
-    count = len(ring)
-    places = ring[np.arange(start, end + 1 if end > start else end + 1 + count) % count]
-    along = places[-1] - places[0]
+    along = ring[end] - ring[start]
     angle = math.atan2(along[1], along[0])
     quarter = math.pi / 2
     turned = (angle - main + quarter / 2) % quarter - quarter / 2
     if abs(turned) <= math.radians(parameters.turned_deg):
         angle -= turned
     direction = np.array([math.cos(angle), math.sin(angle)])
-    middles, weights = (places[1:] + places[:-1]) / 2, np.abs((places[1:] - places[:-1]) @ direction)
+    middles, steps = _part(ring, start, end)
+    weights = np.abs(steps @ direction)
     middle = (middles * weights[:, None]).sum(axis=0) / weights.sum() if weights.sum() > 0 else middles.mean(axis=0)
     line = Line(angle, 0.0, float(np.linalg.norm(along)), middle)
     return replace(line, offset=float(line.normal @ middle))

@@ -45,11 +45,16 @@ class Plane:
 
 @dataclass(frozen=True)
 class RoofPlanes:
-    """The planes of a roof, the largest first, and (rows, columns) the number of each cell's plane from 0, -1 outside
-    of the roof."""
+    """The planes of a roof, and (rows, columns) the number of each cell's plane from 0, -1 outside of the roof."""
 
     planes: List[Plane]
     numbers: IntArray
+
+    def kind(self, parameters: RoofParameters = BUILDINGS.roofs) -> str:
+        """What the roof is called, by its larger planes; "" without planes."""
+        cells = np.bincount(self.numbers[self.numbers >= 0], minlength=len(self.planes))
+        large = cells >= parameters.kind_share * cells.sum()
+        return kind_of([plane for plane, is_large in zip(self.planes, large) if is_large], parameters)
 
 
 @dataclass(frozen=True)

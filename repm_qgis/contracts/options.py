@@ -782,7 +782,7 @@ class BuildingsOptions(Options):
     confidence: Optional[str] = read(None)
     ortho: Optional[str] = read(None)
     min_height: float = number(2.5, 1, 100, "m")
-    min_area: float = number(20.0, 4, 1e6, "m2")
+    min_area: float = number(50.0, 4, 1e6, "m2")
     cityjson: Optional[str] = None
     report: Optional[str] = None
     workers: int = whole(0, 0, 1024)

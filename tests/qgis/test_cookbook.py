@@ -88,8 +88,8 @@ def heights(path):
     return values
 
 
-def test_the_book_has_twenty_two_tasks():
-    assert sorted(TASKS) == list(range(1, 23))
+def test_the_book_has_twenty_three_tasks():
+    assert sorted(TASKS) == list(range(1, 24))
     assert all(commands(text) and "**Look at**" in text for text in TASKS.values())
 
 
@@ -315,6 +315,20 @@ def test_22_a_town_on_the_globe(cook):
     wanted = Transformer.from_crs(crs.ExportToWkt(), 4326, always_xy=True).transform(*middle)
     assert (lon, lat) == pytest.approx(wanted, abs=1e-7)
     assert "the coarsest is" in said
+
+
+def test_23_buildings(cook):
+    folder, said = cook(23)
+    source = ogr.Open(str(folder / "buildings.gpkg"))
+    layer = source.GetLayer(0)
+    found = [(each["height_m"], each["error_m"], each.GetGeometryRef().GetArea()) for each in layer]
+    assert len(found) == int(re.findall(r"N_BUILDINGS:\t(\d+)", said)[0]) > 5
+    surface, ground = heights(folder / "dsm.tif"), heights(folder / "dtm.tif")
+    assert max(tall for tall, _, _ in found) < np.nanmax(surface - ground) + 5 and min(a for _, _, a in found) >= 50
+    assert all(0 < error < 5 for _, error, _ in found)
+    city = json.loads((folder / "buildings.city.json").read_text(encoding="utf-8"))
+    assert city["type"] == "CityJSON" and len(city["CityObjects"]) == len(found)
+    assert "standard error" in (folder / "buildings.html").read_text(encoding="utf-8")
 
 
 def test_the_whole_book_is_quick():

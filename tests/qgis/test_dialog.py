@@ -59,6 +59,7 @@ def test_dialogs_offer_what_is_known_and_hide_what_does_not_matter(desktop_start
 def test_german_dialogs_fit_too(desktop_start, tmp_path):
     """Labels are longer: at QGIS's own size every "..." button is in sight, with the advanced part open."""
     names = ["pipeline", "mosaic", "reconstruct", "dsmfuse", "epmfit", "register", "change", "comparedsm", "dtm"]
+    names.append("buildings")
     found = desktop_start("drive_narrow.py", {"dialogs": names}, seconds=60, locale="de")
     assert all(max(widths) == 0 for widths in found["narrow"].values()), found["narrow"]
     assert found["words"]["fast"] == "Schnell (fast)" and found["values"] == ["fast", "default", "best"]
