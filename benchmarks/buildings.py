@@ -1,4 +1,4 @@
-"""Buildings (``repm:buildings``) against the lidar of a real town, and against a simulated one whose houses are known."""
+"""Buildings (``repm:buildings``) against the lidar of a real town and a simulated town whose houses are known."""
 
 from __future__ import annotations
 
@@ -34,7 +34,6 @@ _LEAST_M2 = 50.0  # of a building that is counted: smaller ones are sheds, and p
 _FOUND = 0.5  # of an object's area that the other side covers
 _VIEWS = 6
 _INNER_CELLS = 2  # of the truth's cells inside a roof, within which its height is compared
-_WHOLE_M2 = 20.0
 _KINDS = ("flat", "gable")
 
 
@@ -125,9 +124,7 @@ def found_in(case: Case, folder: str, parameters: Any = ENGINE, **options: objec
     """Run the stage on a case's DSM."""
     start = time.monotonic()
     named = {"output": f"{folder}/b.gpkg", "cityjson": f"{folder}/b.city.json"}
-    run_stage(
-        "buildings", {"dsm": case.dsm, "confidence": case.confidence, **named, **options}, Silent(), parameters
-    )
+    run_stage("buildings", {"dsm": case.dsm, "confidence": case.confidence, **named, **options}, Silent(), parameters)
     spent = time.monotonic() - start
     move = score_files(case.dsm, case.reference, "3d").alignment
     with opened(case.reference) as dataset:
@@ -265,8 +262,8 @@ def measured() -> List[str]:
         f"{_LEAST_M2:g} m2 counts as found where the other side covers {100 * _FOUND:g} % of it; completeness, "
         "correctness and quality as Rutzinger et al. (2009) define them.",
         table(
-            "DSM | buildings | area: complete % | correct % | quality % | objects: complete % | correct % | quality % | "
-            "s",
+            "DSM | buildings | area: complete % | correct % | quality % | objects: complete % | correct % | quality % "
+            "| s",
             area_rows,
         ),
         "**Height of each roof**: the median of the roof minus the truth's, of buildings of at least "
@@ -305,7 +302,6 @@ def ablation() -> List[str]:
     ways = {
         "as it is": plain,
         "no test for planes": replace(plain, footprints=replace(plain.footprints, planar_m=1e3)),
-
         "not divided by walls": replace(plain, segments=replace(plain.segments, least_m2=math.inf)),
     }
     rows = []

@@ -25,8 +25,8 @@ from .solids import Face, RoofPart, is_closed, is_flat, solid, volume
 class Heights:
     """Heights of a building, m, in the datum of the DSM: the lowest terrain at its outline, and of its roof the eave,
     the median and the ridge (low, middle and high percentiles of its cells). ``error`` is the standard error of the
-    median's height above the ground; ``residual`` the spread of the cells about the roof's model, and ``level_residual``
-    about one height. ``measured`` is the share of the roof's cells whose heights were measured."""
+    median's height above the ground; ``residual`` the spread of the cells about the roof's model, and
+    ``level_residual`` about one height. ``measured`` is the share of the roof's cells whose heights were measured."""
 
     ground: float
     eave: float
@@ -46,8 +46,8 @@ class Heights:
 @dataclass(frozen=True)
 class Building:
     """A building: its number from 1, its footprint in the DSM's CRS as WKB and that one's area, m2; its heights, the
-    kind of its roof, its planes (x, y from ``origin``), and its solids: ``block`` (LoD 1) with one height, and ``roofed``
-    (LoD 2), empty where one height is as good, or the planes give no valid solid."""
+    kind of its roof, its planes (x, y from ``origin``), and its solids: ``block`` (LoD 1) with one height, and
+    ``roofed`` (LoD 2), empty where one height is as good, or the planes give no valid solid."""
 
     number: int
     outline: bytes

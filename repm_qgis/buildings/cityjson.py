@@ -1,4 +1,4 @@
-"""Buildings as CityJSON 2.0 (Ledoux et al. 2019, Open Geospatial Data, Software and Standards 4; cityjson.org/specs)."""
+"""Buildings as CityJSON 2.0 (Ledoux et al. 2019, Open Geospat. Data, Softw. Stand. 4; cityjson.org/specs)."""
 
 from __future__ import annotations
 
@@ -44,9 +44,7 @@ def write_cityjson(
     return write_text(path, json.dumps(city(buildings, crs, datum, title), separators=(",", ":")))
 
 
-def city(
-    buildings: Sequence[Building], crs: pyproj.CRS, datum: Optional[HeightDatum], title: str
-) -> JsonObject:
+def city(buildings: Sequence[Building], crs: pyproj.CRS, datum: Optional[HeightDatum], title: str) -> JsonObject:
     """The CityJSON object."""
     corners = _Corners(_origin(buildings))
     objects = {f"building-{each.number}": _object(each, corners, datum) for each in buildings}
@@ -58,7 +56,9 @@ def city(
     if values:
         low, high = np.min(values, axis=0), np.max(values, axis=0)
         ends = [
-            round(start + _SCALE * float(value), 3) for each in (low, high) for start, value in zip(corners.origin, each)
+            round(start + _SCALE * float(value), 3)
+            for each in (low, high)
+            for start, value in zip(corners.origin, each)
         ]
         metadata["geographicalExtent"] = ends
     return {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import List
 
 from osgeo import ogr
@@ -80,4 +80,6 @@ def find_buildings(
             building = building_of(rasters, shape, len(buildings) + 1, parameters)
             if building is not None and building.heights.tall >= options.min_height:
                 buildings.append(building)
+        buildings = sorted(buildings, key=lambda each: -each.area)
+        buildings = [replace(each, number=number) for number, each in enumerate(buildings, start=1)]
         return FoundBuildings(surface, buildings, rasters.shows_plants, rasters.warnings)

@@ -49,7 +49,11 @@ def margin(cell: float, parameters: FootprintParameters = BUILDINGS.footprints) 
 
 
 def building_cells(
-    cells: Cells, cell: float, least_m: float, usual_error: float, parameters: FootprintParameters = BUILDINGS.footprints
+    cells: Cells,
+    cell: float,
+    least_m: float,
+    usual_error: float,
+    parameters: FootprintParameters = BUILDINGS.footprints,
 ) -> Mask:
     """(rows, columns) which cells belong to buildings of at least ``least_m`` above the terrain; ``cell`` in m,
     ``usual_error`` of the DSM in m, 0 where it is not known."""
@@ -98,7 +102,9 @@ def write_cells(
     with raster.created(path, frame, nodata=None, own=True) as target:
         for number, (own, wide) in enumerate(blocks):
             step(number / len(blocks))
-            found = building_cells(rasters.read(wide), surface.cell, least_m, surface.usual_error, parameters.footprints)
+            found = building_cells(
+                rasters.read(wide), surface.cell, least_m, surface.usual_error, parameters.footprints
+            )
             target.write(found[own.inside(wide)].astype(np.uint8), own.col, own.row)
             target.flush()
 

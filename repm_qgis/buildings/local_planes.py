@@ -50,7 +50,7 @@ def local_planes(height: FloatImage, used: Mask, half: int, cell: float) -> Loca
         xz = moment(z, 1, 0) / count - mean_x * mean_z
         yz = moment(z, 0, 1) / count - mean_y * mean_z
         zz = moment(z * z, 0, 0) / count - mean_z**2
-        determinant = xx * yy - xy * xy
+        determinant: FloatArray = xx * yy - xy * xy
         right, down = (xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant
         rms = np.sqrt(np.maximum(zz - right * xz - down * yz, 0.0))
     few = (count < _LEAST - 0.5) | ~(determinant > 1e-6)

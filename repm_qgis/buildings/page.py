@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from osgeo import ogr
 
-from ..contracts.arrays import ByteImage, FloatImage
+from ..contracts.arrays import ByteImage, FloatArray, FloatImage
 from ..contracts.options import BuildingsOptions
 from ..reports import charts, pictures
 from ..reports.report import Report, fixed
@@ -35,9 +35,7 @@ def buildings_page(options: BuildingsOptions, found: FoundBuildings, terrain: st
     )
     page.section("Picture")
     picture, low, high = _picture(found)
-    page.png(
-        pictures.png_bytes(picture), "Footprints over the shaded surface, coloured by their height; north is up."
-    )
+    page.png(pictures.png_bytes(picture), "Footprints over the shaded surface, coloured by their height; north is up.")
     page.svg(charts.colour_bar(pictures.RAMPS["viridis"], low, high, "m above the ground"))
     _figures(page, options, found, terrain, errors)
     if buildings:
@@ -46,13 +44,11 @@ def buildings_page(options: BuildingsOptions, found: FoundBuildings, terrain: st
     return page
 
 
-def _median(values: np.ndarray) -> float:
+def _median(values: FloatArray) -> float:
     return float(np.median(values)) if values.size else float("nan")
 
 
-def _figures(
-    page: Report, options: BuildingsOptions, found: FoundBuildings, terrain: str, errors: np.ndarray
-) -> None:
+def _figures(page: Report, options: BuildingsOptions, found: FoundBuildings, terrain: str, errors: FloatArray) -> None:
     kinds = sorted({each.kind for each in found.buildings})
     counts = ", ".join(f"{sum(each.kind == kind for each in found.buildings)} {kind}" for kind in kinds)
     page.section("Figures").facts(
@@ -74,14 +70,16 @@ def _table(page: Report, found: FoundBuildings) -> None:
     rows = []
     for each in found.buildings:
         heights = each.heights
-        figures = fixed(heights.tall, heights.error, heights.ground, heights.eave, heights.ridge, heights.residual, decimals=2)
+        figures = fixed(
+            heights.tall, heights.error, heights.ground, heights.eave, heights.ridge, heights.residual, decimals=2
+        )
         rows.append([each.number, each.kind, each.lod, f"{each.area:.0f}", *figures, f"{100 * heights.measured:.0f}"])
     page.section("Buildings").table(
         "id | roof | LoD | area, m2 | height, m | standard error, m | ground, m | eave, m | ridge, m | residual, m | "
         "measured, %",
         rows,
-        "The largest first. The height is that of the roof's median above the lowest ground at the outline; the residual "
-        "is the spread of the DSM about the solid's roof.",
+        "The largest first. The height is that of the roof's median above the lowest ground at the outline; the "
+        "residual is the spread of the DSM about the solid's roof.",
         most=_MOST_ROWS,
         where="The layer has all of them.",
     )

@@ -93,7 +93,10 @@ def _common_borders(cells: RoofCells, roof: RoofPlanes) -> Dict[Tuple[int, int],
     """For each two planes whose cells touch, x and y of the cells at their common border, m."""
     found: Dict[Tuple[int, int], List[Tuple[FloatArray, FloatArray]]] = {}
     numbers = roof.numbers
-    for cut, beside in (((slice(None), slice(1, None)), (slice(None), slice(None, -1))), ((slice(1, None),), (slice(None, -1),))):
+    for cut, beside in (
+        ((slice(None), slice(1, None)), (slice(None), slice(None, -1))),
+        ((slice(1, None),), (slice(None, -1),)),
+    ):
         here, there = numbers[cut], numbers[beside]
         apart = (here >= 0) & (there >= 0) & (here != there)
         low, high = np.minimum(here, there)[apart], np.maximum(here, there)[apart]
@@ -102,7 +105,10 @@ def _common_borders(cells: RoofCells, roof: RoofPlanes) -> Dict[Tuple[int, int],
             chosen = (low == pair[0]) & (high == pair[1])
             found.setdefault(pair, []).append((x[chosen], y[chosen]))
     least = max(2.0, 1.0 / cells.cell)
-    joined = {pair: (np.concatenate([x for x, _ in parts]), np.concatenate([y for _, y in parts])) for pair, parts in found.items()}
+    joined = {
+        pair: (np.concatenate([x for x, _ in parts]), np.concatenate([y for _, y in parts]))
+        for pair, parts in found.items()
+    }
     return {pair: places for pair, places in joined.items() if len(places[0]) >= least}
 
 
@@ -167,9 +173,7 @@ def _rounded(net: ogr.Geometry) -> Optional[ogr.Geometry]:
     return made if segments else None
 
 
-def _labels(
-    faces: Sequence[ogr.Geometry], cells: RoofCells, roof: RoofPlanes, frame: Frame
-) -> List[int]:
+def _labels(faces: Sequence[ogr.Geometry], cells: RoofCells, roof: RoofPlanes, frame: Frame) -> List[int]:
     """For each face the plane from which the heights in it differ least; where it has no height, that of a
     neighbour's cells."""
     numbers = burned(faces, range(1, len(faces) + 1), cells.inside.shape, frame.transform)

@@ -1,4 +1,4 @@
-"""A polygon with straight walls in place of a border of cells (Sampath and Shan 2007, Photogramm. Eng. Remote Sens. 73).
+"""A polygon with straight walls in place of a border of cells (Sampath and Shan 2007, PE&RS 73).
 
 The border is simplified (Douglas and Peucker 1973). What is left of it are walls, most of which run along two
 perpendicular main directions; each becomes the line through all the border's parts that belong to it, and the lines are
@@ -18,6 +18,7 @@ from ..contracts.arrays import FloatArray, IntArray
 from .parameters import BUILDINGS, OutlineParameters
 
 _ROUNDED = 3  # decimals of coordinates in metres
+_NARROWED_M = 0.05
 _ROUND_M = 1.5  # at corners the border of cells is round
 _PARALLEL = math.sin(math.radians(20.0))
 
@@ -119,9 +120,7 @@ def _direction(ring: FloatArray, start: int, end: int) -> float:
     return math.atan2(axis[1], axis[0]) if straight else math.atan2(chord[1], chord[0])
 
 
-def main_direction(
-    ring: FloatArray, corners: IntArray, parameters: OutlineParameters = BUILDINGS.outlines
-) -> float:
+def main_direction(ring: FloatArray, corners: IntArray, parameters: OutlineParameters = BUILDINGS.outlines) -> float:
     """The direction, radians in 0..pi/2, that the walls between corners of a ring (N, 2) run along or at right angles
     to: the one from which their lengths deviate least, and of the walls near it the mean."""
     ends = np.roll(corners, -1)
@@ -281,7 +280,7 @@ def apart(shapes: List[ogr.Geometry]) -> List[ogr.Geometry]:
         xmin, xmax, ymin, ymax = ends[number]
         before = ends[:number]
         near = (before[:, 0] < xmax) & (before[:, 1] > xmin) & (before[:, 2] < ymax) & (before[:, 3] > ymin)
-        rest = shape
+        rest = largest(shape)
         for other in np.flatnonzero(near):
             if rest.Intersects(found[other]):
                 rest = largest(rest.Difference(found[other]))
@@ -290,16 +289,35 @@ def apart(shapes: List[ogr.Geometry]) -> List[ogr.Geometry]:
 
 
 def largest(shape: Optional[ogr.Geometry]) -> ogr.Geometry:
-    """The largest polygon of a geometry, valid; an empty one where there is none."""
-    parts = [shape] if shape is not None and ogr.GT_Flatten(shape.GetGeometryType()) == ogr.wkbPolygon else []
-    if shape is not None and not parts:
-        parts = [shape.GetGeometryRef(i).Clone() for i in range(shape.GetGeometryCount())]
-    polygons = [p for p in parts if ogr.GT_Flatten(p.GetGeometryType()) == ogr.wkbPolygon and p.GetArea() > 0]
-    found: List[Tuple[float, ogr.Geometry]] = []
-    for polygon in polygons:
-        rings = [_points(polygon.GetGeometryRef(number)) for number in range(polygon.GetGeometryCount())]
-        found += [(made.GetArea(), made) for made in _polygon(rings)]
-    return max(found, key=lambda each: each[0])[1] if found else ogr.Geometry(ogr.wkbPolygon)
+    """The largest polygon of a geometry, valid in whole millimetres; an empty one where there is none. Where it touches
+    itself, it is narrowed by a few centimetres, which divides it there."""
+    found = [made for polygon in _polygons(shape) for made in _in_millimetres(polygon) or _narrowed(polygon)]
+    return max(found, key=lambda each: float(each.GetArea())) if found else ogr.Geometry(ogr.wkbPolygon)
+
+
+def _polygons(shape: Optional[ogr.Geometry]) -> List[ogr.Geometry]:
+    """The polygons of a geometry of any kind."""
+    if shape is None or ogr.GT_Flatten(shape.GetGeometryType()) == ogr.wkbPolygon:
+        return [] if shape is None or shape.IsEmpty() else [shape]
+    parts = [shape.GetGeometryRef(number).Clone() for number in range(shape.GetGeometryCount())]
+    return [polygon for part in parts for polygon in _polygons(part)]
+
+
+def _in_millimetres(polygon: ogr.Geometry) -> List[ogr.Geometry]:
+    made = _polygon([_points(polygon.GetGeometryRef(number)) for number in range(polygon.GetGeometryCount())])
+    return [each for each in made if not _touches_itself(each)]
+
+
+def _touches_itself(polygon: ogr.Geometry) -> bool:
+    """Whether two corners of a polygon are at one place: it has no solid then."""
+    rings = [_points(polygon.GetGeometryRef(number)) for number in range(polygon.GetGeometryCount())]
+    places = [tuple(place) for ring in rings for place in ring]
+    return len(set(places)) < len(places)
+
+
+def _narrowed(polygon: ogr.Geometry) -> List[ogr.Geometry]:
+    narrow = polygon.Buffer(-_NARROWED_M)
+    return [made for part in _polygons(narrow) for made in _in_millimetres(part.SimplifyPreserveTopology(_NARROWED_M))]
 
 
 def _points(ring: ogr.Geometry) -> FloatArray:

@@ -1,7 +1,7 @@
 """The planes of a roof: the ones on which most of its cells lie, one after the other (Fischler and Bolles 1981).
 
-What is tried are the planes of single cells with their neighbours, rather than of three cells anywhere: so few tries are
-enough, and cells belong to a plane only where their own slopes agree with it.
+What is tried are the planes of single cells with their neighbours, rather than of three cells anywhere: so few tries
+are enough, and cells belong to a plane only where their own slopes agree with it.
 """
 
 from __future__ import annotations
@@ -152,9 +152,7 @@ def _everywhere(cells: RoofCells, planes: List[Plane], numbers: IntArray, tolera
     return RoofPlanes(planes, np.where(cells.inside, numbers[tuple(nearest)], -1))
 
 
-def _joined(
-    cells: RoofCells, planes: List[Plane], numbers: IntArray, tolerance: float
-) -> Tuple[List[Plane], IntArray]:
+def _joined(cells: RoofCells, planes: List[Plane], numbers: IntArray, tolerance: float) -> Tuple[List[Plane], IntArray]:
     """Planes that one plane fits about as well are one."""
     numbers = numbers.copy()
     changed = True

@@ -76,7 +76,9 @@ def divided(rasters: Rasters, border: ogr.Geometry, parameters: BuildingParamete
     for number in np.argsort(-means, kind="stable") + 1:
         own = numbers == number
         below = ndimage.binary_dilation(own, disc(in_cells(choices.below_m, cell))) & higher
-        shapes = [without_small_holes(shape, parameters.footprints.hole_m2) for shape in outlined(own | below, transform)]
+        shapes = [
+            without_small_holes(shape, parameters.footprints.hole_m2) for shape in outlined(own | below, transform)
+        ]
         found += [max(shapes, key=lambda each: each.GetArea())] if shapes else []
         higher |= own
     return found

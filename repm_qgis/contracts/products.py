@@ -279,9 +279,7 @@ PRODUCTS = (
     ),
     Product("dtm", "mask", "Objects", RASTER, style="objects", help=_OBJECTS),
     Product("buildings", "output", "Buildings", POLYGONS, ALWAYS, "buildings", help=_BUILDINGS),
-    Product(
-        "buildings", "cityjson", "Buildings in 3-D (CityJSON)", FILE, filter="CityJSON (*.json)", help=_CITYJSON
-    ),
+    Product("buildings", "cityjson", "Buildings in 3-D (CityJSON)", FILE, filter="CityJSON (*.json)", help=_CITYJSON),
     Product("editdsm", "output", "Edited DSM", RASTER, ALWAYS, "dsm", help=_EDITED),
     Product(
         "editdsm",

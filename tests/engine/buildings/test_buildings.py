@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from tests.engine.buildings.cityjson_checks import checked, volume
 from osgeo import gdal, ogr
 
 from repm_qgis.contracts.errors import Cancelled, ImageError, OptionError, OverlapError
@@ -17,6 +16,7 @@ from repm_qgis.geometry.vertical import ELLIPSOID, TAG
 from repm_qgis.imagery import raster
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.stages import run_stage
+from tests.engine.buildings.cityjson_checks import checked, volume
 
 CELL, SIDE = 0.5, 300
 WEST, NORTH = 500000.0, 4800000.0
@@ -180,7 +180,9 @@ def test_an_l_shape_and_a_courtyard_keep_their_corners(tmp_path):
     surface[160:240, 60:160], surface[180:220, 85:135] = 112.0, 100.0
     _, found, (_, solids) = made(tmp_path, surface, base)
     fields, shape = at(found, (35, 35))
-    assert shape.GetGeometryRef(0).GetPointCount() == 7 and shape.GetArea() == pytest.approx(50 * 12 + 25 * 18, rel=0.02)
+    assert shape.GetGeometryRef(0).GetPointCount() == 7 and shape.GetArea() == pytest.approx(
+        50 * 12 + 25 * 18, rel=0.02
+    )
     assert volume(solids[f"building-{fields['id']}"]["1.2"]) == pytest.approx(9 * 1050, rel=0.02)
     fields, shape = at(found, (35, 85))
     assert shape.GetGeometryCount() == 2 and shape.GetArea() == pytest.approx(50 * 40 - 25 * 20, rel=0.02)
