@@ -2,6 +2,81 @@
 <!DOCTYPE TS>
 <TS version="2.1" language="de" sourcelanguage="en">
 <context>
+    <name>Buildings</name>
+    <message>
+        <source>Find buildings: footprints, heights, roofs</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Footprints with heights and their errors, and closed solids with simple roofs (CityJSON).</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>DSM with houses and trees</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>A surface model of this plugin or of others, in a projected CRS; heights in metres.</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Terrain below it (DTM)</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Bare earth in any CRS, such as that of Find the terrain below houses and trees. Empty: it is made of the DSM first.</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Confidence of the DSM</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>The raster that was written with the DSM: heights that were filled in do not count, and the errors of the heights follow from it.</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Orthophoto with near infrared</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>A picture whose bands are named red and near infrared: where it is green, there are trees. Without it, smooth crowns may be taken for small buildings.</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Lowest building (m)</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Above the terrain; lower things are cars, hedges and garden sheds.</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Smallest building (m²)</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>The area of the footprint. Below 50 m², many of the smaller things are crowns of trees.</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Number of buildings</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Buildings with the planes of their roofs</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Area of all footprints (m²)</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Volume of all buildings (m³)</source>
+        <translation type="unfinished"></translation>
+    </message>
+</context>
+<context>
     <name>Change</name>
     <message>
         <source>Find changes between two dates</source>
@@ -1875,6 +1950,22 @@
         <translation>1, wo etwas auf dem Boden steht; 0, wo das DOM den Boden zeigt; 255, wo es keine Höhe hat.</translation>
     </message>
     <message>
+        <source>Buildings</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Outlines with straight walls; height above the ground with its error, kind of roof, area and volume.</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Buildings in 3-D (CityJSON)</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
+        <source>Closed solids of the buildings for 3-D programs: blocks, and roofs where the DSM shows them.</source>
+        <translation type="unfinished"></translation>
+    </message>
+    <message>
         <source>Edited DSM</source>
         <translation>Bearbeitetes DOM</translation>
     </message>
@@ -2049,6 +2140,10 @@
     <message>
         <source>Report of the terrain</source>
         <translation>Bericht über das Gelände</translation>
+    </message>
+    <message>
+        <source>Report of the buildings</source>
+        <translation type="unfinished"></translation>
     </message>
     <message>
         <source>Report of the equivalent error</source>
