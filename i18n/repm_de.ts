@@ -5,75 +5,75 @@
     <name>Buildings</name>
     <message>
         <source>Find buildings: footprints, heights, roofs</source>
-        <translation type="unfinished"></translation>
+        <translation>Gebäude finden: Grundrisse, Höhen, Dächer</translation>
     </message>
     <message>
         <source>Footprints with heights and their errors, and closed solids with simple roofs (CityJSON).</source>
-        <translation type="unfinished"></translation>
+        <translation>Grundrisse mit Höhen und deren Fehlern, und geschlossene Körper mit einfachen Dächern (CityJSON).</translation>
     </message>
     <message>
         <source>DSM with houses and trees</source>
-        <translation type="unfinished"></translation>
+        <translation>DOM mit Häusern und Bäumen</translation>
     </message>
     <message>
         <source>A surface model of this plugin or of others, in a projected CRS; heights in metres.</source>
-        <translation type="unfinished"></translation>
+        <translation>Ein Oberflächenmodell dieses Plugins oder anderer Programme, in einem projizierten KBS; Höhen in Metern.</translation>
     </message>
     <message>
         <source>Terrain below it (DTM)</source>
-        <translation type="unfinished"></translation>
+        <translation>Gelände darunter (DGM)</translation>
     </message>
     <message>
         <source>Bare earth in any CRS, such as that of Find the terrain below houses and trees. Empty: it is made of the DSM first.</source>
-        <translation type="unfinished"></translation>
+        <translation>Der nackte Boden in beliebigem KBS, etwa der von „Gelände unter Häusern und Bäumen finden“. Leer: Er wird zuerst aus dem DOM abgeleitet.</translation>
     </message>
     <message>
         <source>Confidence of the DSM</source>
-        <translation type="unfinished"></translation>
+        <translation>Konfidenz des DOM</translation>
     </message>
     <message>
         <source>The raster that was written with the DSM: heights that were filled in do not count, and the errors of the heights follow from it.</source>
-        <translation type="unfinished"></translation>
+        <translation>Das Raster, das mit dem DOM geschrieben wurde: Aufgefüllte Höhen zählen nicht, und die Fehler der Höhen ergeben sich daraus.</translation>
     </message>
     <message>
         <source>Orthophoto with near infrared</source>
-        <translation type="unfinished"></translation>
+        <translation>Orthophoto mit nahem Infrarot</translation>
     </message>
     <message>
         <source>A picture whose bands are named red and near infrared: where it is green, there are trees. Without it, smooth crowns may be taken for small buildings.</source>
-        <translation type="unfinished"></translation>
+        <translation>Ein Bild, dessen Kanäle red und near infrared heißen: Wo es grün ist, stehen Bäume. Ohne dieses können glatte Kronen für kleine Gebäude gehalten werden.</translation>
     </message>
     <message>
         <source>Lowest building (m)</source>
-        <translation type="unfinished"></translation>
+        <translation>Niedrigstes Gebäude (m)</translation>
     </message>
     <message>
         <source>Above the terrain; lower things are cars, hedges and garden sheds.</source>
-        <translation type="unfinished"></translation>
+        <translation>Über dem Gelände; niedriger sind Autos, Hecken und Gartenhäuser.</translation>
     </message>
     <message>
         <source>Smallest building (m²)</source>
-        <translation type="unfinished"></translation>
+        <translation>Kleinstes Gebäude (m²)</translation>
     </message>
     <message>
         <source>The area of the footprint. Below 50 m², many of the smaller things are crowns of trees.</source>
-        <translation type="unfinished"></translation>
+        <translation>Die Fläche des Grundrisses. Unter 50 m² sind viele der kleineren Dinge Baumkronen.</translation>
     </message>
     <message>
         <source>Number of buildings</source>
-        <translation type="unfinished"></translation>
+        <translation>Anzahl der Gebäude</translation>
     </message>
     <message>
         <source>Buildings with the planes of their roofs</source>
-        <translation type="unfinished"></translation>
+        <translation>Gebäude mit den Ebenen ihrer Dächer</translation>
     </message>
     <message>
         <source>Area of all footprints (m²)</source>
-        <translation type="unfinished"></translation>
+        <translation>Fläche aller Grundrisse (m²)</translation>
     </message>
     <message>
         <source>Volume of all buildings (m³)</source>
-        <translation type="unfinished"></translation>
+        <translation>Volumen aller Gebäude (m³)</translation>
     </message>
 </context>
 <context>
@@ -1951,19 +1951,19 @@
     </message>
     <message>
         <source>Buildings</source>
-        <translation type="unfinished"></translation>
+        <translation>Gebäude</translation>
     </message>
     <message>
         <source>Outlines with straight walls; height above the ground with its error, kind of roof, area and volume.</source>
-        <translation type="unfinished"></translation>
+        <translation>Umrisse mit geraden Wänden; Höhe über dem Boden mit ihrem Fehler, Dachform, Fläche und Volumen.</translation>
     </message>
     <message>
         <source>Buildings in 3-D (CityJSON)</source>
-        <translation type="unfinished"></translation>
+        <translation>Gebäude in 3D (CityJSON)</translation>
     </message>
     <message>
         <source>Closed solids of the buildings for 3-D programs: blocks, and roofs where the DSM shows them.</source>
-        <translation type="unfinished"></translation>
+        <translation>Geschlossene Körper der Gebäude für 3D-Programme: Blöcke, und Dächer, wo das DOM sie zeigt.</translation>
     </message>
     <message>
         <source>Edited DSM</source>
@@ -2143,7 +2143,7 @@
     </message>
     <message>
         <source>Report of the buildings</source>
-        <translation type="unfinished"></translation>
+        <translation>Bericht über die Gebäude</translation>
     </message>
     <message>
         <source>Report of the equivalent error</source>
