@@ -23,7 +23,7 @@ from .segments import divided
 
 @dataclass(frozen=True)
 class FoundBuildings:
-    """The buildings, the largest first, of a surface; ``shows_plants``: whether an orthophoto told plants."""
+    """The buildings, the largest first, of a surface; ``shows_plants``: whether an orthophoto showed plants."""
 
     surface: Surface
     buildings: List[Building]

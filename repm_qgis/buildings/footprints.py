@@ -93,7 +93,8 @@ def write_cells(
     step: Callable[[float], None],
     parameters: BuildingParameters = BUILDINGS,
 ) -> None:
-    """Write 1 where buildings stand, else 0, on the DSM's cells, block by block; ``step`` is told the share done."""
+    """Write 1 where buildings stand, else 0, on the DSM's cells, block by block; ``step`` is called with the
+    share that is done."""
     surface = rasters.surface
     columns, rows = surface.size
     around = margin(surface.cell, parameters.footprints)

@@ -70,7 +70,7 @@ class RoofParameters(Parameters):
 
 @dataclass(frozen=True)
 class HeightParameters(Parameters):
-    """How heights are told; chosen."""
+    """How the heights of a building follow from its cells; chosen."""
 
     inner_m: float = 1.0  # cells nearer to the outline are walls
     least_cells: int = 4  # of a roof

@@ -61,7 +61,7 @@ def _found(task: _Task, progress: Progress) -> Dict[str, object]:
         progress.warn(text)
     if options.ortho and not found.shows_plants:
         progress.info(
-            f"'{options.ortho}' names no near infrared band: trees are told from roofs by their heights alone."
+            f"'{options.ortho}' names no near infrared band: only their heights distinguish trees from roofs."
         )
     if not found.buildings:
         progress.warn(
