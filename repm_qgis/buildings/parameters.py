@@ -12,7 +12,7 @@ class FootprintParameters(Parameters):
     """From heights above the terrain to cells of buildings; chosen, unless a source is given."""
 
     plane_m: float = 3.0  # side of the window to whose heights a plane is fitted: narrower than crowns of trees
-    planar_m: float = 0.8  # RMS of the heights about that plane, up to which cells look like a roof (a table), or
+    planar_m: float = 0.8  # RMS of the heights about that plane, up to which cells look like a roof, or
     planar_errors: float = 2.0  # so many times the usual error of the DSM, if that is more
     steepest: float = 1.5  # m per m: roofs up to 56 degrees
     wall_m: float = 1.5  # how far a wall is smeared to each side: what is lower than half the roof there is its foot
