@@ -94,7 +94,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
     GROUP = "tools"
     STEP = 0  # the place in the group
     TAGS = ""
-    HEAVY = True  # in a process of its own
+    HEAVY = True  # in a process of its own; also what other stages' bytes depend on
     USES_WORKERS = False
 
     def name(self) -> str:

@@ -139,12 +139,11 @@ def in_python_thread(call: Callable[[], _Result]) -> _Result:
 def run_here(stage: str, options: JsonMapping, feedback: QgsProcessingFeedback) -> JsonObject:
     """Run a light stage in QGIS's process. Expected failures become QgsProcessingException with one sentence."""
     from ..repm_qgis.contracts.errors import RepmError
-    from ..repm_qgis.runtime.process_limits import one_thread_for_loaded_sums
     from ..repm_qgis.runtime.translation import written_in
     from ..repm_qgis.stages import run_stage
 
     try:
-        with written_in(language(), labels(stage)), one_thread_for_loaded_sums():
+        with written_in(language(), labels(stage)):
             return run_stage(stage, options, FeedbackProgress(feedback, said))
     except RepmError as error:
         raise _failure(str(error)) from None

@@ -9,13 +9,16 @@ from .base import RepmAlgorithm
 
 
 class EpmFit(RepmAlgorithm):
-    """Fits pinhole cameras to the RPCs of images, tile by tile."""
+    """Fits pinhole cameras to the RPCs of images, tile by tile.
+
+    It takes seconds, and yet a process of its own: QGIS loads GSL's linear algebra (on Debian), which numpy then uses
+    there, and whose sums differ in their last bits. The cameras would not be those of the pipeline.
+    """
 
     ID = "epmfit"
     GROUP = "cameras"
     STEP = 1
     TAGS = "EPM,DLT,camera model,equivalent error,tiles"
-    HEAVY = False
 
     def title(self) -> str:
         return self.tr("Fit equivalent pinhole cameras")

@@ -43,8 +43,8 @@ _pinned = [0]  # how many blocks have one thread now
 def one_thread_for_loaded_sums() -> Iterator[None]:
     """Within the block linear algebra that is loaded already uses one thread; then as many as before.
 
-    For a process that is not ours, such as QGIS's: its settings affect other code too. Several of its threads may be
-    in such a block at the same time. Apple's Accelerate has no such setting, and stays as it is.
+    For a process that is not ours, such as QGIS's or a notebook's: its settings affect other code too. Several of its
+    threads may be in such a block at the same time. Apple's Accelerate has no such setting, and stays as it is.
     """
     with _linear_algebra:
         if not _pinned[0]:

@@ -58,9 +58,10 @@ def run_stage(
     RepmError the stage raises.
     """
     from ..runtime.parallel import require_main
+    from ..runtime.process_limits import one_thread_for_loaded_sums
 
     require_main()
-    with following_links_of(_texts(options)):
+    with following_links_of(_texts(options)), one_thread_for_loaded_sums():
         return _run(name, options, progress, parameters)
 
 

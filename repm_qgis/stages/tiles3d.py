@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any, Dict
 
 from ..contracts.options import Tiles3dOptions
@@ -28,4 +29,4 @@ def _written(options: Tiles3dOptions, progress: Progress) -> Dict[str, Any]:
         f"{made.error_m:.2f} m (RMS) from the DSM."
     )
     counts = {"tiles": made.tiles, "vertices": made.vertices, "triangles": made.triangles}
-    return {"tiles3d": options.tiles3d, "tileset": f"{options.tiles3d}/tileset.json", **counts}
+    return {"tiles3d": options.tiles3d, "tileset": os.path.join(options.tiles3d, "tileset.json"), **counts}

@@ -310,28 +310,6 @@ def test_no_interpreter_at_all_says_where_it_was_looked_for(engine, monkeypatch)
         engine.find_python()
 
 
-def test_light_stages_have_one_thread_for_linear_algebra(plugin, feedback, monkeypatch):
-    """The same input gives the same bytes, whatever number of cores QGIS's own numpy uses."""
-    from repm.processing_provider import engine
-    from repm.repm_qgis.runtime.process_limits import _thread_settings
-
-    def threads():
-        return {get() for get, _ in _thread_settings()}
-
-    before, seen = [(put, get()) for get, put in _thread_settings()], []
-    if not before:
-        pytest.skip("no library of this numpy has threads that can be set")
-    monkeypatch.setattr("repm.repm_qgis.stages.run_stage", lambda *arguments: seen.append(threads()) or {})
-    try:
-        for put, _ in before:
-            put(2)
-        engine.run_here("epmfit", {}, feedback)
-        assert before and seen == [{1}] and threads() == {2}
-    finally:
-        for put, count in before:
-            put(count)
-
-
 def test_light_stages_turn_errors_into_sentences(plugin, feedback, monkeypatch):
     from repm.processing_provider import engine
 

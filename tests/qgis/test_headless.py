@@ -141,6 +141,30 @@ def test_epmfit_runs_in_qgis_and_its_scene_goes_on_to_errormap(headless, sample,
     assert (tmp_path / "e.qml").exists()
 
 
+@pytest.mark.long
+def test_cameras_are_the_same_to_the_last_bit_in_qgis_and_in_a_script_with_many_threads(headless, sample, tmp_path):
+    """QGIS loads GSL's linear algebra, which numpy then uses in its process: cameras differed in the tenth digit."""
+    images = [f"IMAGES={path}" for path in sample["images"]]
+    done = headless("run", "repm:epmfit", "--", *images, f"WORKSPACE={tmp_path / 'in QGIS'}")
+    assert done.returncode == 0, said(done)
+    job = {"images": sample["images"], "workspace": str(tmp_path / "by a script")}
+    script = "from repm_qgis.runtime.progress import Silent; from repm_qgis.stages import run_stage; import json, sys; "
+    subprocess.run(
+        [sys.executable, "-c", script + "run_stage('epmfit', json.loads(sys.argv[1]), Silent())", json.dumps(job)],
+        cwd=ROOT,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "4"},
+        check=True,
+    )
+    first, second = (
+        [
+            {name: view["camera"] for name, view in tile["views"].items()}
+            for tile in json.loads((tmp_path / name / "scene.json").read_text())["tiles"]
+        ]
+        for name in ("in QGIS", "by a script")
+    )
+    assert first == second and len(first[0]) == 3
+
+
 @pytest.mark.slow
 def test_the_zip_installs_into_an_empty_profile_and_runs(headless, tmp_path):
     done = subprocess.run(

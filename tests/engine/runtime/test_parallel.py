@@ -334,6 +334,25 @@ print("before", max(before))
 """
 
 
+def test_each_stage_has_one_thread_for_linear_algebra(monkeypatch, told):
+    """In QGIS's process and in scripts too, whose numpy has as many threads as there are cores."""
+    from repm_qgis.runtime.process_limits import _thread_settings
+    from repm_qgis.stages import environment, run_stage
+
+    before, seen = [(put, get()) for get, put in _thread_settings()], []
+    if not before:
+        pytest.skip("no library of this numpy has threads that can be set")
+    monkeypatch.setattr(environment, "run", lambda *_: seen.append({get() for get, _ in _thread_settings()}) or {})
+    try:
+        for put, _ in before:
+            put(2)
+        run_stage("environment", {}, told())
+        assert seen == [{1}] and {get() for get, _ in _thread_settings()} == {2}
+    finally:
+        for put, count in before:
+            put(count)
+
+
 @pytest.mark.skipif(sys.platform == "darwin", reason="Accelerate has no such setting")
 def test_linear_algebra_that_others_have_loaded_gets_one_thread_for_a_while():
     """Light stages run in QGIS's process, whose numpy has as many threads as cores."""

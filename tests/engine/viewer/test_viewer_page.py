@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import os
 import re
 import zlib
 from html.parser import HTMLParser
@@ -258,7 +259,8 @@ WORST = "-a&b<c>\"d' {x}{{y}} {% z %} </script><script>alert(1)</script> ä"
 
 
 def test_names_of_files_are_text_and_nothing_is_fetched(tmp_path):
-    name = WORST.replace("/", "∕") if "/" in WORST else WORST
+    refused = '<>"' if os.name == "nt" else ""  # by Windows
+    name = "".join(letter for letter in WORST.replace("/", "∕") if letter not in refused)
     dsm = raster(tmp_path / "d.tif", hilly())
     Path(dsm).rename(tmp_path / f"{name}.tif")
     parts, facts, _ = page_of(tmp_path, tmp_path / f"{name}.tif")
