@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 PYTHON := .venv/bin/python
 
-.PHONY: help setup demo test test-long test-slow test-all bench bench-faults fuzz mutation identity lint lint-viewer tiles3d-tools scan site package models i18n pictures clean
+.PHONY: help setup demo test test-most test-slow test-all bench bench-faults fuzz mutation identity lint lint-viewer tiles3d-tools scan site package models i18n pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z0-9%-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -18,8 +18,8 @@ SHARED := --numprocesses logical --maxprocesses 2 --dist loadfile --no-loadscope
 test: setup ## the test suite without its long and slow tests, in two processes where there are two cores (TESTS=tests/engine for all tests of a part)
 	@QT_QPA_PLATFORM=offscreen $(PYTHON) -m pytest -p no:pytest_qgis $(SHARED) $(or $(TESTS),-m 'not slow and not long' tests)
 
-test-long: setup ## the long tests alone, which '.ci/run' runs after the others: whole runs, the desktop, browsers
-	@$(MAKE) --no-print-directory test TESTS="-m 'long and not slow' tests"
+test-most: setup ## these and the long tests, as '.ci/run' does: whole runs, the desktop, browsers
+	@$(MAKE) --no-print-directory test TESTS="-m 'not slow' tests"
 
 test-slow: setup ## the slow tests alone: half of the whole time
 	@$(MAKE) --no-print-directory test TESTS="-m slow tests"

@@ -161,6 +161,7 @@ def test_a_job_script_holds_what_the_options_say(tmp_path, system):
 
 @needs_dask
 @posix
+@pytest.mark.long
 def test_a_submitted_job_says_where_its_address_will_be(tmp_path):
     program = tmp_path / "sbatch"
     program.write_text('#!/bin/sh\necho "4711;hills"\n', encoding="utf-8")

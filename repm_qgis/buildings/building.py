@@ -120,7 +120,7 @@ def building_of(
             level_residual=level,
             measured=float(patch.cells.measured[patch.roof.inside].mean()),
         ),
-        kind=planes.kind(parameters.roofs),
+        kind=planes.roof_kind(parameters.roofs),
         planes=planes.planes,
         origin=patch.frame.origin,
         block=block,
@@ -144,8 +144,14 @@ def _patch(rasters: Rasters, footprint: ogr.Geometry, parameters: BuildingParame
     inner = known & (depth > parameters.heights.inner_m)
     if inner.sum() < parameters.heights.least_cells:
         inner = known
-    every = np.broadcast_to(x, shape), np.broadcast_to(y[:, None], shape)
-    roof = RoofCells(cells.surface, within, inner, *every, surface.cell)
+    roof = RoofCells(
+        height=cells.surface,
+        inside=within,
+        inner=inner,
+        x=np.broadcast_to(x, shape),
+        y=np.broadcast_to(y[:, None], shape),
+        cell=surface.cell,
+    )
     rim = ndimage.binary_dilation(within, disc(1)) & ~ndimage.binary_erosion(within, disc(1))
     return _Patch(cells, roof, Frame(origin, transform), rim)
 

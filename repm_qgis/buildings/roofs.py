@@ -50,7 +50,7 @@ class RoofPlanes:
     planes: List[Plane]
     numbers: IntArray
 
-    def kind(self, parameters: RoofParameters = BUILDINGS.roofs) -> str:
+    def roof_kind(self, parameters: RoofParameters = BUILDINGS.roofs) -> str:
         """What the roof is called, by its larger planes; "" without planes."""
         cells = np.bincount(self.numbers[self.numbers >= 0], minlength=len(self.planes))
         large = cells >= parameters.kind_share * cells.sum()
@@ -126,8 +126,13 @@ def _largest(
             return plane, found
         sizes = np.bincount(labels.ravel())[1:]
         found = labels == 1 + int(np.argmax(sizes))
-        plane = fitted(*(values[found].astype(np.float64) for values in (cells.x, cells.y, cells.height)))
+        plane = _fitted_on(cells, found)
     return plane, found
+
+
+def _fitted_on(cells: RoofCells, chosen: Mask) -> Plane:
+    x, y, heights = (values[chosen].astype(np.float64) for values in (cells.x, cells.y, cells.height))
+    return fitted(x, y, heights)
 
 
 def fitted(x: FloatArray, y: FloatArray, z: FloatArray) -> Plane:
@@ -162,7 +167,7 @@ def _joined(cells: RoofCells, planes: List[Plane], numbers: IntArray, tolerance:
             for other in range(len(planes) - 1, one, -1):
                 parts = [numbers == one, numbers == other]
                 both = parts[0] | parts[1]
-                together = fitted(*(values[both].astype(np.float64) for values in (cells.x, cells.y, cells.height)))
+                together = _fitted_on(cells, both)
                 away = np.abs(cells.height - together.at(cells.x, cells.y))
                 if all(float(np.median(away[part])) < tolerance / 2 for part in parts):
                     planes = [together if k == one else plane for k, plane in enumerate(planes) if k != other]

@@ -48,6 +48,7 @@ def value_of(stage, name):
 
 
 @pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.long
 def test_every_option_of_a_stage_can_be_given_and_is_explained(stage, monkeypatch, capsys):
     given = {name: value_of(stage, name) for name in STAGES[stage].names()}
     words = [word for _, more in given.values() for word in more]
@@ -148,6 +149,7 @@ def test_programs_get_lines_of_json(as_wheel, images, tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no pseudo-terminals")
+@pytest.mark.long
 def test_a_terminal_shows_a_bar_that_leaves_nothing_behind(as_wheel, tmp_path):
     import pty
 

@@ -25,6 +25,7 @@ def python(code):
     )
 
 
+@pytest.mark.long
 def test_every_module_imports_without_qgis():
     assert len(MODULES) > 50 and "repm_qgis.stages.pipeline" in MODULES
     names = [name for name in MODULES if name not in OPTIONAL or find_spec(OPTIONAL[name])]
@@ -55,6 +56,7 @@ def test_light_stages_and_the_registry_need_only_what_qgis_ships(module):
 
 
 @pytest.mark.parametrize("blocked", ("cv2 pycolmap laspy lazrs scipy qgis", "cv2 scipy qgis jinja2"))
+@pytest.mark.long
 def test_reports_need_jinja2_and_no_wheel(blocked, tmp_path):
     """The survey itself runs without jinja2, or nothing could tell that it is missing."""
     done = python(

@@ -41,6 +41,7 @@ def test_the_terrain_below_houses(headless, houses, tmp_path):
     assert all((tmp_path / f"{name.lower()}.qml").exists() for name in out)
 
 
+@pytest.mark.long
 def test_a_dsm_or_a_scene_must_be_given(headless, tmp_path):
     done = headless("run", "repm:dtm", "--", f"OUTPUT={tmp_path / 'dtm.tif'}", REPM_ENGINE_PYTHON=sys.executable)
     assert done.returncode and "must be given, or SCENE" in done.stderr + done.stdout

@@ -151,6 +151,7 @@ def test_the_log_has_no_password_of_a_proxy(engine, feedback, proxy):
         ("mute", ["'mute'", "code 7", "Report the environment"]),
     ],
 )
+@pytest.mark.long
 def test_every_end_but_a_bug_is_one_sentence(engine, feedback, stage, words):
     with pytest.raises(QgsProcessingException) as caught:
         engine.run_apart(stage, {}, feedback, VENV_PYTHON)
@@ -173,6 +174,7 @@ def test_a_bug_keeps_its_traceback(engine, feedback):
 
 
 @pytest.mark.parametrize("stage", ["forked", "spawned", "stubborn"])
+@pytest.mark.long
 def test_cancel_ends_the_whole_tree_within_two_seconds(engine, feedback, tmp_path, stage):
     pids = tmp_path / "pids"
     cancelled = []
@@ -194,6 +196,7 @@ def test_cancel_ends_the_whole_tree_within_two_seconds(engine, feedback, tmp_pat
     assert not (tmp_path / ".dsm.part.tif").exists()
 
 
+@pytest.mark.long
 def test_on_windows_the_engine_is_asked_to_cancel(engine, feedback, tmp_path, monkeypatch):
     """Signals would end it at once there: so it is told over its standard input, and cleans up."""
     pids = tmp_path / "pids"
@@ -327,6 +330,7 @@ def test_light_stages_turn_errors_into_sentences(plugin, feedback, monkeypatch):
         engine.FeedbackProgress(feedback).check_cancelled()
 
 
+@pytest.mark.long
 def test_cancel_ends_a_real_stage(plugin, feedback, tmp_path):
     """A truth scene that would take minutes, stopped while it is made."""
     from qgis.core import QgsApplication, QgsProcessingContext

@@ -27,7 +27,7 @@ def cpu_of_children():
     return sum(os.times()[2:4])
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_toolbox_lists_us_and_nobody_elses_plugins(headless, tmp_path):
     ours, without = {}, {"config": tmp_path}
     headless("plugins", **without)  # the first start makes the profile
@@ -111,6 +111,7 @@ def test_user_errors_are_one_sentence_and_code_1(headless, tmp_path, words, sent
     assert "Traceback" not in said(done)
 
 
+@pytest.mark.long
 def test_a_wrong_interpreter_is_one_sentence_and_code_1(headless, tmp_path):
     done = headless("run", "repm:sampledata", "--", "SIZE=128", f"FOLDER={tmp_path}", REPM_ENGINE_PYTHON="/no/python")
     assert done.returncode == 1

@@ -28,6 +28,12 @@ def help_page(name):
     return pathlib.Path(urllib.parse.unquote(urllib.parse.urlparse(url).path))
 
 
+@pytest.fixture
+def pages(plugin):
+    """The pages of all algorithms, because they lead to each other."""
+    return {name: help_page(name) for name in NAMES}
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_help_is_a_page_with_every_parameter_by_label_and_id(plugin, name):
     page = help_page(name).read_text(encoding="utf-8")
@@ -42,8 +48,8 @@ def test_help_is_a_page_with_every_parameter_by_label_and_id(plugin, name):
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.long
-def test_what_help_links_to_is_there(plugin, name):
-    seen, ahead = set(), [help_page(name)]
+def test_what_help_links_to_is_there(pages, name):
+    seen, ahead = set(), [pages[name]]
     while ahead:
         page = ahead.pop()
         seen.add(page)
@@ -133,6 +139,7 @@ class Structure(HTMLParser):
 DOCUMENTS = [*(ROOT / "docs").rglob("*.md"), *(ROOT / "resources" / "help").rglob("*.md")]
 
 
+@pytest.mark.long
 def test_documents_have_the_structure_that_a_renderer_of_markdown_gives_them(plugin):
     """markdown-it-py (CommonMark, with tables) is the judge; it is a package of ours for tests alone."""
     from repm.processing_provider.helppages import PLUGIN_FOLDER, to_page

@@ -99,6 +99,7 @@ def test_dialogs_and_help_are_german(german):
     assert not any(found.values()), {name: texts for name, texts in found.items() if texts}
 
 
+@pytest.mark.long
 def test_logs_errors_and_reports_of_both_kinds_of_runs_are_german(german, feedback, tmp_path):
     from repm.processing_provider import engine
 

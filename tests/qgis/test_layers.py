@@ -74,6 +74,7 @@ def test_a_layers_name_tells_the_scene(plugin, tmp_path):
         assert change._scene_name({"before": before, "after": after}) == name
 
 
+@pytest.mark.long
 def test_layers_that_stay_are_not_named_after_their_files(load, sample, tmp_path, monkeypatch):
     """QGIS gives what lies outside the temporary folder its file's name: "dsm" in every workspace."""
     temporary = tmp_path / "temporary"

@@ -112,6 +112,7 @@ def test_it_speaks_german(german):
     ]  # fmt: skip
 
 
+@pytest.mark.long
 def test_each_layer_has_the_values_of_the_surface(made):
     results, _ = made
     slope, ruggedness, shading = (
@@ -131,6 +132,7 @@ def test_each_layer_has_the_values_of_the_surface(made):
     np.testing.assert_allclose(shading[0], 1 + 254 * (np.cos(away) ** 2 * lit).sum() / 2, atol=1.0)
 
 
+@pytest.mark.long
 def test_contours_lie_at_their_heights_and_leave_out_what_is_small(made):
     results, _ = made
     source = ogr.Open(results["contours:CONTOURS"])
@@ -146,6 +148,7 @@ def test_contours_lie_at_their_heights_and_leave_out_what_is_small(made):
         np.testing.assert_allclose(plane(x, y)[on_plane], height, atol=0.01)
 
 
+@pytest.mark.long
 def test_layers_are_styled_named_and_in_one_group(made):
     _, project = made
     (group,) = project.layerTreeRoot().children()

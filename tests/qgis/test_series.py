@@ -38,6 +38,7 @@ def moment(text):
     return QDateTime.fromString(f"{text}T12:00:00Z", Qt.DateFormat.ISODate)
 
 
+@pytest.mark.long
 def test_layers_arrive_styled_and_each_date_has_its_period(load, dsms, tmp_path):
     made = {name: tmp_path / f"{name}.tif" for name in ("OUTPUT", "TREND", "CHANGED")}
     folder = tmp_path / "dates"
@@ -67,6 +68,7 @@ def test_layers_arrive_styled_and_each_date_has_its_period(load, dsms, tmp_path)
     assert shown[3:] == [("Heights", False)] * 4 + [("Heights of all dates", False)]
 
 
+@pytest.mark.long
 def test_dates_are_given_as_a_list(load, dsms, tmp_path):
     text = "2001-01-01; 2003-01-01, 2002-01-01;2004-01-01"
     options = {"DSMS": dsms, "DATES": text, "LAYERS": "", "TREND": "", "CHANGED": "", "VOLUMES": "", "REPORT": ""}

@@ -152,6 +152,7 @@ def test_walls_that_matching_moved_are_no_change(tmp_path, told):
         assert change(*order, tmp_path, told, min_area=10)["changes"] == 0
 
 
+@pytest.mark.long
 def test_filled_cells_and_few_witnesses_are_no_change(dates, tmp_path, told):
     """Confidence rasters say that the heap was interpolated, or that fewer pairs than usual saw it."""
     plain = confidence(tmp_path / "before_c.tif")
@@ -165,6 +166,7 @@ def test_filled_cells_and_few_witnesses_are_no_change(dates, tmp_path, told):
 
 
 @pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.long
 def test_heights_that_nothing_checks_need_larger_changes(stated, dates, tmp_path, told):
     """Heights of one map, and those of which no confidence raster tells: an error of matching leaves no trace there."""
     made = {}
@@ -278,6 +280,7 @@ def test_the_model_finds_both_errors():
     assert doubled.scale == pytest.approx(0.1, rel=0.1)
 
 
+@pytest.mark.long
 def test_the_mean_of_alike_errors_is_as_uncertain_as_it_is():
     """The deviation of means over squares, measured on many of them, against that from the variogram."""
     rng = np.random.default_rng(3)

@@ -55,6 +55,7 @@ from tests.engine.colmap.truth_depths import (
 GPU = Gpu(0, "emulated", 8 << 30, 8 << 30)
 
 
+@pytest.mark.long
 def test_images_of_very_different_pixels_are_refused_with_the_backend_to_take(urban):
     scene = true_scene(urban)
     first, second, third = (view.name for view in scene.views)
@@ -469,6 +470,7 @@ def test_auto_falls_back_to_the_cpu_for_a_tile_and_says_so(refined, tmp_path, wi
     run_stage("dsmfuse", {"scene": str(tmp_path / "done.json"), "output": str(tmp_path / "dsm.tif")}, told())
 
 
+@pytest.mark.long
 def test_colmap_by_name_names_the_tile_without_heights(refined, tmp_path, with_gpu, told):
     calls = []
 

@@ -24,6 +24,7 @@ ROOT = Path(__file__).resolve().parents[3]
 FILES = {"images": ["a.tif", "b.tif"], "workspace": "w", "output": "dsm.tif"}
 
 
+@pytest.mark.long
 def test_no_options_class_is_called_with_positions():
     """Neither where a checker of types would see it, nor in tests and scripts."""
     names = {stage.__name__ for stage in STAGES.values()}

@@ -167,6 +167,7 @@ def test_undeclared_nodata(make_raster, missing):
 
 
 @pytest.mark.parametrize("site", ["pleiades_pair", "pleiades_triplet", "truth_urban"])
+@pytest.mark.long
 def test_agrees_with_the_scoring_tool_on_real_dsms(shared_data, make_raster, site):
     path = shared_data / site / ("truth.tif" if site == "truth_urban" else "s2p_dsm.tif")
     dataset = gdal.Open(str(path))

@@ -72,7 +72,7 @@ def test_points_find_a_known_shift():
         np.testing.assert_allclose(found, -near, atol=0.02)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_clouds_points_lay_a_dsm_onto_it(dsm, tmp_path):
     reference = las(tmp_path / "lidar.laz", scattered(230_000, 3))
     found = compare(dsm, reference, align="icp", report=str(tmp_path / "r.html"))

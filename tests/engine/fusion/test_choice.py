@@ -125,6 +125,7 @@ def test_nothing_stays_nothing():
 
 
 @pytest.mark.parametrize("window", (np.s_[100:160, 90:170], np.s_[97:150, 101:143]))
+@pytest.mark.long
 def test_a_part_is_decided_as_in_the_whole(window):
     """Rough heights, rough images: inside the reach of all sweeps the same bytes."""
     shape, halo = (260, 270), reach_cells(CELL)

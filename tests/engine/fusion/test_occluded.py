@@ -81,6 +81,7 @@ def test_no_step_hides_nothing():
     assert occluded_ground(view(0.0, 0.0), 3.0)[2].size == 0
 
 
+@pytest.mark.long
 def test_a_pairs_fills_are_right_on_a_truth_scene(urban_run, tmp_path, told, capsys):
     """Most of what is filled has the true surface's height. 98 % of the cells that both images see have a height, and
     seven eighths of those that one of them hides: long gaps over which disparities fall stay empty on purpose."""

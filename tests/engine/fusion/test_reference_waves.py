@@ -101,6 +101,7 @@ def test_waves_of_a_reference_are_found_and_taken_out(steady, shaken, told):
     assert again.registration.waves_m == found.registration.waves_m
 
 
+@pytest.mark.long
 def test_registering_again_keeps_what_the_maps_were_matched_with(steady, shaken, mountains, tmp_path, told):
     path, said = shaken.save(str(tmp_path / "shaken.json")), told()
     options = {"scene": path, "reference": [mountains.truth], "output_scene": str(tmp_path / "again.json")}

@@ -66,6 +66,7 @@ def test_heights_are_metres(tmp_path, surface, kind):
 
 
 @pytest.mark.parametrize("kind", FORMS)
+@pytest.mark.long
 def test_a_comparison_and_a_terrain_model_are_of_metres(tmp_path, surface, told, kind):
     truth, dsm = written(tmp_path / "truth.tif", surface), written(tmp_path / "dsm.tif", surface + 2.0, kind)
     found = run_stage("comparedsm", {"dsm": dsm, "reference": truth, "align": "none"}, told())

@@ -103,6 +103,7 @@ def test_a_scene_of_before_masks_is_read(urban):
     assert View.from_mapping(values).mask == ""
 
 
+@pytest.mark.long
 def test_masked_pixels_give_no_ties_and_no_heights(urban, tmp_path, told):
     """A quarter of the first image is masked: there is nothing there; elsewhere the scene is as whole as ever."""
     hidden = np.zeros((400, 400), np.uint8)

@@ -163,6 +163,7 @@ def left(home):
     return [path.name for path in home.iterdir() if not path.name.endswith("install.log")] if home.exists() else []
 
 
+@pytest.mark.long
 def test_it_installs_from_the_index_says_what_and_finds_its_work_again(index, home, folder):
     heard = Recorder(Silent())
     assert install(PYTHON, folder, heard) is True
@@ -183,6 +184,7 @@ def heard_log(folder):
     return Path(log_of(folder)).read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 def test_a_folder_of_wheels_needs_no_network(index, wheels, folder, monkeypatch):
     monkeypatch.setenv("PIP_INDEX_URL", "http://127.0.0.1:1/simple")
     monkeypatch.setenv("PIP_FIND_LINKS", "/nowhere")
@@ -208,6 +210,7 @@ def test_a_wheel_that_is_missing_is_named(index, wheels, home, folder, tmp_path)
 
 
 @pytest.mark.parametrize("how", ("cut", "bits"))
+@pytest.mark.long
 def test_a_damaged_wheel_is_named(index, home, folder, wheels, tmp_path, how):
     damaged = tmp_path / "damaged"
     damaged.mkdir()
@@ -237,6 +240,7 @@ def test_it_installs_behind_a_proxy_and_keeps_its_password(index, home, folder, 
 
 
 @pytest.mark.parametrize("proxy", ("", "http://127.0.0.1:1"))
+@pytest.mark.long
 def test_without_a_network_a_sentence_says_what_to_do(index, home, folder, monkeypatch, proxy):
     host = "packages.test" if proxy else "127.0.0.1:1"
     monkeypatch.setenv("PIP_INDEX_URL", f"https://{host}/simple")
@@ -265,6 +269,7 @@ class CancelAt(Silent):
 
 
 @pytest.mark.parametrize("words", ("downloading", "checking"))
+@pytest.mark.long
 def test_a_cancel_leaves_nothing_and_is_quick(index, home, folder, words):
     index.hold = 30.0 if words == "downloading" else 0.0
     progress = CancelAt(words if index.hold == 0 else "looking for opencv")
@@ -353,6 +358,7 @@ def test_a_disk_that_fills_up_is_a_sentence_and_leaves_nothing(index, home, fold
     assert "Traceback" not in done.stderr and left(home) == []
 
 
+@pytest.mark.long
 def test_a_package_that_cannot_be_imported_is_named(index, home, folder, wheels, tmp_path):
     broken = tmp_path / "broken"
     broken.mkdir()

@@ -141,6 +141,7 @@ def test_products_say_where_heights_come_from(made, four):
     json.dumps(result, allow_nan=False)
 
 
+@pytest.mark.long
 def test_fixed_dsms_keep_their_heights(four, tmp_path, told):
     said = told()
     found = mosaic(told, tmp_path, four, said, fixed=[four[1]])["offsets"]
@@ -202,6 +203,7 @@ def test_dsms_of_other_crs_and_cells_are_not_shifted(tmp_path, told):
     assert np.nanpercentile(np.abs(heights - plane(x, y)), 95) < 0.02
 
 
+@pytest.mark.long
 def test_confidences_give_cells_to_the_better_dsm(four, tmp_path, told):
     """One band of errors, or the plugin's confidence with its five; one DSM has none."""
     good = write(tmp_path / "good.tif", STARTS[0], SIDE, lambda x, y: np.full(x.shape, 0.03))

@@ -275,11 +275,13 @@ def test_greys_are_what_they_were(town, tmp_path, told):
 # --- what does not fit ---
 
 
+@pytest.mark.long
 def test_xs_are_paired_in_any_order(town, sharp, tmp_path, told):
     result, _ = fused(town, tmp_path, told, xs=town["xs"][::-1], colour="all")
     assert Path(result["ortho"]).read_bytes() == Path(sharp[0]["ortho"]).read_bytes()
 
 
+@pytest.mark.long
 def test_views_without_xs_have_no_part_in_the_colours(town, tmp_path, told):
     _, said = fused(town, tmp_path, told, xs=town["xs"][:2])
     assert any("No colours from img_03" in text for text in said.notes)

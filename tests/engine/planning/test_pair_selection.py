@@ -180,6 +180,7 @@ def twice(melbourne):
 NO_MORE = replace(PLANNING.pairs, uncovered=1.0)  # without pairs for ground that no other one covers
 
 
+@pytest.mark.long
 def test_ground_that_no_pair_covers_gets_one(melbourne):
     """The two best pairs of each image leave out a seventh of what good pairs of Melbourne's images see."""
     few, pairs = choose_pairs(melbourne, NO_MORE), choose_pairs(melbourne)

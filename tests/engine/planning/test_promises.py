@@ -144,6 +144,7 @@ def test_an_rpc_that_is_wrong_by_60_px_is(shared_data, tmp_path, told, folder, n
     assert len(images) == 2 or f"({scene.views[1].name} is in all of these pairs)" in texts[0]
 
 
+@pytest.mark.long
 def test_a_real_image_whose_rpc_is_off_by_ten_metres_is_found(shared_data, tmp_path, told):
     """JAX_068_016 contradicts all other images of the place, and its vendor promises 3.5 m."""
     images = [shared_data / "jax_068" / f"JAX_068_0{number}_RGB.tif" for number in (15, 16, 20)]

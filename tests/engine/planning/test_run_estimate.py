@@ -80,6 +80,7 @@ def test_the_estimate_is_right_within_a_factor_of_two(runs, preset):
     assert mib / 2 < expected.mib < 2 * mib, (expected, mib)
 
 
+@pytest.mark.slow
 def test_the_estimate_comes_before_the_work(runs):
     said = [json.loads(line).get("text", "") for line in runs["none"][1].splitlines() if line.startswith("{")]
     place = next(index for index, text in enumerate(said) if text.startswith("This run will take about"))
@@ -91,6 +92,7 @@ def test_the_estimate_comes_before_the_work(runs):
     assert not any("Refinement" in text or "tie points" in text for text in said[:place])
 
 
+@pytest.mark.slow
 def test_the_inspection_expects_what_the_run_does(demo, runs, told, tmp_path):
     log, report = told(), tmp_path / "page.html"
     run_stage("inspect", {"images": demo["images"], "report": str(report)}, log)
@@ -103,6 +105,7 @@ def test_the_inspection_expects_what_the_run_does(demo, runs, told, tmp_path):
     assert "A DSM of all this ground" in plain(report.read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_more_workers_take_less_time_and_more_memory(runs):
     scene = runs["none"][0]
     one, two = (estimate_run(scene, scene.pairs, workers=count) for count in (1, 2))
@@ -115,6 +118,7 @@ def test_more_workers_take_less_time_and_more_memory(runs):
     assert all(f"about {text} with" in one._replace(wall_s=seconds).sentence() for seconds, text in words.items())
 
 
+@pytest.mark.slow
 def test_a_preset_is_recorded_and_takes_less_time(runs):
     plain, fast = runs["none"][0], runs["fast"][0]
     assert (plain.preset, fast.preset) == ("none", "fast")

@@ -106,6 +106,7 @@ def scene_metres(scene, lon_lat_h):
 
 
 @pytest.mark.parametrize("kind", ("scattered", "one way"))
+@pytest.mark.long
 def test_a_fifth_of_gross_outliers_moves_nothing(scene, kind):
     clean, _ = exact_tracks(scene, 600, noise=0.1)
     straight = adjust(scene.views, clean, 500.0).shifts

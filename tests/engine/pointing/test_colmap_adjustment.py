@@ -46,6 +46,7 @@ def fitted(request, tmp_path_factory, told):
 
 
 @pytest.mark.parametrize("outliers", (0.0, 0.2))
+@pytest.mark.long
 def test_the_shifts_are_those_against_the_rpcs(fitted, told, outliers):
     truth, scene = fitted
     tracks = true_tracks(truth, outliers=outliers)

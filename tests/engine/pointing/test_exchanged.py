@@ -95,6 +95,7 @@ def ties_by_pair(views, noise_px, counts, seed=3):
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.long
 def test_a_third_image_decides_where_two_leave_a_doubt(three, seed):
     """Forward and backward images of WHU-TLC fitted as well with each other's RPCs: heights were upside down."""
     tracks, altitude = ties_by_pair(three, 0.12, {(0, 1): 25, (0, 2): 150, (1, 2): 150}, seed)

@@ -66,6 +66,7 @@ def passes(pair):
     return {name.split("_frame")[0] for name in pair}
 
 
+@pytest.mark.long
 def test_frames_lie_where_they_were_aimed(block):
     first = [view for view in block.scene.views if view.name.startswith("pass_1")]
     middles = np.array([view.localise((np.array(view.size) - 1) / 2, 920.0)[:2] for view in first])
@@ -181,6 +182,7 @@ def test_neighbouring_frames_of_a_pass_are_not_asked_whether_they_are_exchanged(
     assert np.isfinite(adjust(views, tracks, 920.0, "shift").residual_px).all()
 
 
+@pytest.mark.long
 def test_the_altitudes_of_a_block_come_from_all_its_parts(block):
     views, bounds = block.scene.views, np.array([tile.bounds for tile in block.scene.tiles])
     whole = (*bounds[:, :2].min(axis=0), *bounds[:, 2:].max(axis=0))

@@ -95,6 +95,7 @@ def test_without_noise_control_is_exact(scene):
 
 
 @pytest.mark.parametrize("seed", range(4))
+@pytest.mark.long
 def test_two_wrong_points_of_twelve_are_named_and_harmless(scene, seed):
     gcps = control(scene, 0.3, seed)
     gcps[2], gcps[7] = moved(gcps[2], (6.0, -3.0)), moved(gcps[7], (-2.0, 9.0))
@@ -149,6 +150,7 @@ def rows_left(scene, found, maps):
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.long
 def test_drift_over_the_image_is_found_and_affine_chosen(scene, seed):
     maps = drifts(seed)
     ties = tracks_of(scene, 600, 0.1, seed, lambda name, pixel: pixel + maps[name] @ (pixel - 199.5))
@@ -160,6 +162,7 @@ def test_drift_over_the_image_is_found_and_affine_chosen(scene, seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.long
 def test_without_drift_shift_is_chosen(scene, seed):
     found = adjust(scene.views, tracks_of(scene, 600, 0.1, seed), 500.0, "auto", control(scene, 0.3, seed))
     assert found.model == "shift" and "does not improve the fit" in found.reason
@@ -228,6 +231,7 @@ def pointed(urban, tmp_path_factory, told):
     return replace(scene, views=found.views), pairs, gcps, found, said
 
 
+@pytest.mark.long
 def test_real_ties_and_the_tables_points_give_the_true_place(urban, pointed):
     """The scene's six control points (0.3 px of noise): check points are where they are, to half a metre in plane."""
     scene, _, gcps, found, said = pointed
@@ -308,6 +312,7 @@ def test_without_control_there_is_no_noise_of_it(urban):
 
 
 @pytest.mark.parametrize("seed", range(2))
+@pytest.mark.long
 def test_exact_control_outweighs_ties_in_what_these_hardly_tell(scene, seed):
     """A tilt of the ground, which ties see through the curvature of the RPCs only: 0.1 px was passed here before."""
     maps = drifts(seed)
@@ -350,6 +355,7 @@ def tilted(gcps, size=2.0):
     return [replace(gcp, height=gcp.height + size * 2 * e - size * n) for gcp, e, n in zip(gcps, east, north)]
 
 
+@pytest.mark.long
 def test_control_points_may_ask_for_affine_corrections_where_ties_do_not(scene):
     ties, gcps = tracks_of(scene, 400, 0.1, 1), tilted(control(scene, 0.2, 1))
     assert adjust(scene.views, ties, 500.0).model == "shift"

@@ -104,6 +104,7 @@ def test_a_geoid_is_found_where_it_alone_fits(geoids, heights):
 
 
 @pytest.mark.parametrize("datum, level", (("EGM2008", 49.0), ("EGM96", -32.5)))
+@pytest.mark.long
 def test_the_mean_undulation_is_what_another_solution_would_find(geoids, scene, heights, datum, level):
     """A geoid that is no plane on the level moves the solution a little, so it is found again with what is taken."""
     geoids({EGM2008: level, EGM96: level})

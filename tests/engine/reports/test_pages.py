@@ -46,6 +46,7 @@ BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "
 
 
 @pytest.mark.skipif(BROWSER is None, reason="needs Chromium, which measures how wide tables are")
+@pytest.mark.long
 def test_no_table_is_cut_at_the_right(tmp_path, urban_run):
     """At 900 px, the width of half a screen, no table is wider than the page."""
     page = (Path(urban_run.result["report"])).read_text(encoding="utf-8")

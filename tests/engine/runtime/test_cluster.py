@@ -59,6 +59,7 @@ def on(told):
     return block
 
 
+@pytest.mark.long
 def test_tasks_run_on_all_workers_and_come_back_in_order(cluster, on):
     block, said = on(cluster)
     with block:
@@ -105,6 +106,7 @@ def test_the_pipeline_gives_the_same_bytes(cluster, urban, told, tmp_path):
     assert figures[0] == figures[1]
 
 
+@pytest.mark.long
 def test_a_mosaic_gives_the_same_bytes_and_the_workers_write_it(cluster, told, tmp_path, monkeypatch):
     heights = np.add.outer(np.arange(300), np.arange(300)).astype(np.float32) / 10
     dsms = []
@@ -186,6 +188,7 @@ def test_a_scheduler_that_dies_while_workers_are_asked_is_the_same_sentence(star
         ("empty.json", "No Dask scheduler answers at '.*empty.json' .it holds no address"),
     ),
 )
+@pytest.mark.long
 def test_a_bad_address_is_a_sentence(on, tmp_path, address, words):
     (tmp_path / "empty.json").write_text("{}")
     block, _ = on(str(tmp_path / address) if address.endswith(".json") else address)

@@ -170,6 +170,7 @@ def test_the_estimate_of_matching_is_right_within_a_half(measured, side, extra):
 
 
 @linux
+@pytest.mark.slow
 def test_the_estimate_knows_that_eight_directions_keep_all_costs(measured):
     code = MATCHING.replace("task = PairTask(", "task = replace(PairTask(").replace(
         '"key")', '"key"), parameters=BEST)'

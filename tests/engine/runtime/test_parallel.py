@@ -157,6 +157,7 @@ def test_exit_codes_of_windows_are_told_apart(codes, done, error, words):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no server and no sockets in files there")
+@pytest.mark.long
 def test_what_a_killed_run_leaves_behind_the_next_one_removes(tmp_path):
     """SIGKILL of the whole group: nobody is left who could remove the socket of the server."""
     code = tmp_path / "begun.py"

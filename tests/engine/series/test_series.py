@@ -248,6 +248,7 @@ def test_each_date_has_a_layer_with_its_period(whole):
 
 
 @pytest.mark.parametrize("align", ("none", "vertical"))
+@pytest.mark.long
 def test_an_offset_is_reported_and_removed_only_where_that_is_asked(align, tmp_path, told):
     paths = []
     for date, day in enumerate(DAYS):
@@ -265,6 +266,7 @@ def test_an_offset_is_reported_and_removed_only_where_that_is_asked(align, tmp_p
     assert (first[(dome() == 0) & ~rim()] != 0).mean() < 0.002  # an offset of a date is no change
 
 
+@pytest.mark.long
 def test_confidences_state_errors_and_what_was_filled(dates, tmp_path, told):
     ordered = sorted(dates)
     confidences = []

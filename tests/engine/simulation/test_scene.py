@@ -227,6 +227,7 @@ def _hashes(folder):
     }
 
 
+@pytest.mark.long
 def test_same_seed_same_bytes_other_seed_other_scene(tmp_path):
     runs = {}
     for name, seed in (("a", 5), ("b", 5), ("c", 6)):
@@ -280,6 +281,7 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path):
         run(SampleDataOptions(folder=str(path), size=128), Silent())
 
 
+@pytest.mark.long
 def test_smallest_scene_works(tmp_path):
     for kind in KINDS:
         result = run(SampleDataOptions(folder=str(tmp_path / kind), kind=kind, size=128, seed=11), Silent())

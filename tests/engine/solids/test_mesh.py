@@ -191,6 +191,7 @@ def test_fewer_vertices_cover_the_surface_once_without_cracks(tmp_path, shape):
         assert (np.abs(shown - heights) > 0.3).sum() < 0.3 * (np.abs(coarser - heights) > 0.3).sum()
 
 
+@pytest.mark.long
 def test_holes_stay_open_in_a_simplified_mesh(tmp_path):
     heights, _ = town(120, 150)
     numbers = np.random.default_rng(4)

@@ -379,6 +379,7 @@ def test_altitudes_of_another_place(bench):
     assert "share no ground at altitudes of 7000 to 7200 m" in text and "ALTITUDE_MIN" in text
 
 
+@pytest.mark.long
 def test_control_points_of_images_that_are_not_in_the_run(bench, tmp_path, told):
     """A table of three images, a run of two: their measurements count, and the third image's are told."""
     said = told()

@@ -112,6 +112,7 @@ def test_heights_do_not_depend_on_what_lies_far_away(request, tmp_path, told, mo
         assert not np.array_equal(small, same)  # what lies beyond the border has a part in what lies beside it
 
 
+@pytest.mark.long
 def test_without_its_images_a_scene_is_fused_and_that_is_said(fused, urban_run, tmp_path):
     scene = Scene.load(urban_run.result["scene"])
     views = tuple(replace(view, image=str(tmp_path / f"gone_{view.name}.tif")) for view in scene.views)

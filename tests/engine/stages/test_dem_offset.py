@@ -74,6 +74,7 @@ def test_the_offset_is_that_of_the_truth(urban, urban_run, tmp_path, told, up, f
     assert page.count(f"The DSM lies {found.up_m:.1f} m above the DEM") == 1 and "Nothing here measures" not in page
 
 
+@pytest.mark.long
 def test_what_is_stated_decides_what_is_to_be_expected(urban_run, urban, tmp_path, told):
     scene, made = fused(urban_run, tmp_path, dem_of(urban, tmp_path, -20.0), told(), 90.0)
     assert not FusionFacts.from_mapping(made).dem_offset.unexpected

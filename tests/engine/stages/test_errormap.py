@@ -33,6 +33,7 @@ def scene(mountains, tmp_path_factory, told):
 
 @pytest.mark.parametrize("refined", (False, True))
 @pytest.mark.parametrize("altitude", (850.0, None, 1390.0))
+@pytest.mark.long
 def test_cells_hold_pinhole_minus_rpc(scene, tmp_path, told, refined, altitude):
     path = scene
     if refined:

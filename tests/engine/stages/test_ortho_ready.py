@@ -83,6 +83,7 @@ def test_a_wrong_height_moves_all_heights_by_as_much_and_nothing_else(projected)
         assert np.abs(view.project(lifted) - pixel).max() < 0.02, "px: the same place, 50 m higher"
 
 
+@pytest.mark.long
 def test_a_dem_tells_the_height(mountains, projected, tmp_path, told):
     said = told()
     options = {"images": projected, "workspace": str(tmp_path), "dem": mountains.truth}

@@ -150,6 +150,7 @@ def test_the_ept_has_the_clouds_points_and_the_mesh_the_dsms_heights(urban_run):
     )
 
 
+@pytest.mark.long
 def test_an_ept_comes_without_a_cloud_too(urban_run, tmp_path, told):
     said = told()
     fused = run_stage(

@@ -68,6 +68,7 @@ def test_the_polynomial_is_the_better_the_larger_the_error(mountains, tmp_path, 
     assert rmse["none"] == pytest.approx(fitted["rmse"], rel=0.01)
 
 
+@pytest.mark.long
 def test_the_number_of_workers_changes_no_byte(urban, tmp_path, told):
     """Of the maps, by both models, and of the images."""
     area = {"altitude_min": 150.0, "altitude_max": 260.0, "tile_size": 256}

@@ -76,6 +76,7 @@ def fuse(scene, folder, told, **more):
     return run_stage("dsmfuse", options, told())
 
 
+@pytest.mark.long
 def test_the_dsm_lies_on_the_reference_without_any_alignment(registered, tmp_path, told):
     made, _, reference = registered
     dsm = fuse(made["output_scene"], tmp_path / "registered", told)["output"]
@@ -118,6 +119,7 @@ def test_images_see_the_moved_ground_where_they_saw_the_ground(registered, match
         assert np.abs(before.pointing - after.pointing).max() > 1.0
 
 
+@pytest.mark.long
 def test_every_product_of_the_scene_moves(registered, matched, tmp_path, told):
     """Point by point: heights are the same, and lie elsewhere."""
     made, _, _ = registered
@@ -201,6 +203,7 @@ def test_ground_in_stable_polygons_alone_counts(matched, reference, tmp_path, to
     assert whole["up"] > right["up"] + 0.3
 
 
+@pytest.mark.long
 def test_references_that_contradict_each_other_are_a_warning(matched, reference, tmp_path, told):
     said = told()
     paths = [reference("one.tif"), reference("other.tif", MOVED + [0, 0, 2.0])]
@@ -214,6 +217,7 @@ def test_references_that_contradict_each_other_are_a_warning(matched, reference,
     assert made["up"] == pytest.approx(single["up"] + 1.0, abs=0.2)
 
 
+@pytest.mark.long
 def test_ground_control_points_count_by_their_noise(matched, reference, tmp_path, told):
     """Points known to a centimetre keep the scene where it is, poor ones let the reference move it."""
     scene = Scene.load(matched)

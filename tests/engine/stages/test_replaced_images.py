@@ -74,6 +74,7 @@ def test_the_orthophoto_is_of_the_same_pixels(fitted, tmp_path, told):
     assert not (tmp_path / "ortho.tif").exists()
 
 
+@pytest.mark.long
 def test_amid_the_orthophoto(fitted, tmp_path, told, monkeypatch):
     """One of other pixels than the DSM's does not take its name."""
     images, options = fitted

@@ -23,6 +23,7 @@ def test_cells_finer_than_the_images_are_filled_and_that_is_said(urban, urban_ru
     assert abs(found["bias"]) < 0.02 and found["nmad"] < 0.1, found
 
 
+@pytest.mark.long
 def test_altitudes_that_ties_did_not_narrow_change_nothing(urban_run, tmp_path, told):
     """Those of an RPC have their middle far from the ground, where the two images see other ground together."""
     scene = Scene.load(urban_run.result["scene"])

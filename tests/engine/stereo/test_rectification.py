@@ -75,6 +75,7 @@ def mirrored(view):
 
 @pytest.mark.parametrize("flip", ((), (0,), (1,), (0, 1)))
 @pytest.mark.parametrize("order", ((0, 1), (1, 0)))
+@pytest.mark.long
 def test_any_order_and_sense_of_columns(case, gdal_pixels, flip, order):
     """Stereo along the track has its baseline along the rows, to which no sense of left and right belongs."""
     views = [mirrored(view) if k in flip else view for k, view in enumerate(case.views)]

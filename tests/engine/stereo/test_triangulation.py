@@ -23,6 +23,7 @@ def geometry(case):
     return pair, pair_geometry(pair, *case.views, case.altitudes, case.crs)
 
 
+@pytest.mark.long
 def test_heights_and_places_are_those_of_the_ground(case, geometry, gdal_pixels):
     pair, table = geometry
     points = case.points(400, 3)

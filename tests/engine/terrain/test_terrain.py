@@ -135,6 +135,7 @@ def test_a_slope_goes_on_below_a_house_at_the_border(tmp_path):
     assert abs(read(tmp_path / "output.tif") - ground).max() < 0.3
 
 
+@pytest.mark.long
 def test_heights_that_were_interpolated_and_wide_errors_say_little(scene, tmp_path):
     """A mound of interpolated heights, and one of uncertain ones, are passed over."""
     rows, columns = np.indices(SHAPE)

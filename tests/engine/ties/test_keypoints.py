@@ -72,6 +72,7 @@ def test_keypoints_of_an_image(detector, grey):
     np.testing.assert_array_equal(found.descriptors, again.descriptors)
 
 
+@pytest.mark.long
 def test_both_detectors_count_pixels_alike(grey):
     ours, theirs = (d.detect(grey, np.ones(grey.shape, np.uint8), 4000).points for d in BOTH)
     offset = theirs[:, None] - ours[None]
@@ -164,6 +165,7 @@ def test_errors_on_the_cpu_are_not_tried_again(monkeypatch, told):
     assert len(asked) == 1 and not said.warnings
 
 
+@pytest.mark.long
 def test_the_detector_is_recorded_and_colmaps_gives_ties_as_good(monkeypatch, scene):
     """The way of the GPU, with COLMAP's detector on the CPU in its place."""
     stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}

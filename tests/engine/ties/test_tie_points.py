@@ -61,6 +61,7 @@ def epipolar(truth, match):
     return offset[:, 0] * along[:, 1] - offset[:, 1] * along[:, 0]
 
 
+@pytest.mark.long
 def test_ties_are_true(found):
     truth, _, matches, _ = found
     for match in matches:
@@ -190,6 +191,7 @@ def test_views_beyond_a_pixel_that_cannot_be_aligned_stay_together(found, told):
 
 
 @pytest.mark.parametrize("errors", (((15, -11), (-12, 15), (4, -14)), ((-3, 25), (3, -25), (0, 0))))
+@pytest.mark.long
 def test_rpcs_that_are_wrong_by_tens_of_pixels(found, told, errors):
     truth, scene, _, stretches = found
     wrong = [
@@ -237,6 +239,7 @@ def test_a_large_scene_is_searched_in_patches_the_same_on_any_number_of_workers(
     assert (np.ptp(one.first_px, axis=0) > 250).all()
 
 
+@pytest.mark.long
 def test_of_every_cell_the_place_with_most_texture_comes_first(urban, found, told, tmp_path, write_image):
     """Water everywhere but around one place: its patch leads its cell's list, and the ties come from there."""
     truth, scene, _, _ = found

@@ -315,6 +315,7 @@ def test_a_run_with_a_page_drapes_its_own_products(urban_run):
     np.testing.assert_allclose(heights_in(facts), values, atol=0.0051)
 
 
+@pytest.mark.long
 def test_a_page_alone_drapes_what_nobody_keeps(urban_run, tmp_path, told):
     said = told()
     given = {"scene": urban_run.result["scene"], "resolution": 1.0, "output": str(tmp_path / "d.tif")}
