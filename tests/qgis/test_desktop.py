@@ -109,6 +109,7 @@ def test_a_mosaic_of_scenes_in_the_desktop(desktop, town, tmp_path):
     assert all(scene in page for scene in scenes)
 
 
+@pytest.mark.slow
 def test_an_error_map_in_the_desktop(desktop, town, tmp_path):
     from repm_qgis.runtime.progress import Silent
     from repm_qgis.stages import run_stage

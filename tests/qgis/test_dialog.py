@@ -55,7 +55,7 @@ def test_dialogs_offer_what_is_known_and_hide_what_does_not_matter(desktop_start
     assert found["kept"] == [True, False]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_german_dialogs_fit_too(desktop_start, tmp_path):
     """Labels are longer: at QGIS's own size every "..." button is in sight, with the advanced part open."""
     names = ["pipeline", "mosaic", "reconstruct", "dsmfuse", "epmfit", "register", "change", "comparedsm", "dtm"]

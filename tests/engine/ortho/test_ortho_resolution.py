@@ -209,7 +209,7 @@ def test_it_is_as_complete_as_on_the_cells_of_the_dsm(town):
     assert apart.mean() < 0.02 and fine.mean() > coarse.mean() - 0.01
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_workers_change_no_byte_of_its_colours(town, tmp_path, told):
     small = replace(ENGINE, ortho=replace(ENGINE.ortho, block_cells=100))
     found = []
