@@ -90,8 +90,8 @@ def building_of(
     known = patch.roof.inner & np.isfinite(patch.cells.above)
     if known.sum() < parameters.heights.least_cells:
         return None
-    usual = rasters.surface.usual_error
-    noise = max(usual, _ground_error(patch, rasters.surface.cell, parameters))
+    ground_error = _ground_error(patch, rasters.surface.cell, parameters)
+    noise = max(rasters.surface.usual_error, ground_error)
     planes = roof_planes(patch.roof, noise, parameters.roofs)
     heights = _roof_heights(patch, planes, known)
     eave, median, ridge = np.percentile(
@@ -105,7 +105,7 @@ def building_of(
     if not is_closed(block):
         return None
     roofed, residual = _roofed(footprint, patch, planes, ground, level, noise, parameters)
-    error = _error(patch, known, residual, _ground_error(patch, rasters.surface.cell, parameters))
+    error = _error(patch, known, residual, ground_error)
     return Building(
         number=number,
         outline=bytes(footprint.ExportToWkb()),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import List, Sequence, Tuple
+from typing import Iterator, List, Sequence, Tuple
 
 import numpy as np
 from osgeo import gdal, ogr
@@ -42,12 +42,17 @@ def outlined(mask: Mask, transform: Sequence[float]) -> List[ogr.Geometry]:
     """The borders of connected cells, as polygons with holes."""
     memory = gdal.GetDriverByName("MEM").Create("", mask.shape[1], mask.shape[0], 1, gdal.GDT_Byte)
     memory.SetGeoTransform(list(transform))
-    band = memory.GetRasterBand(1)
-    band.WriteArray(mask.astype(np.uint8))
+    memory.GetRasterBand(1).WriteArray(mask.astype(np.uint8))
+    return list(polygons_of(memory))
+
+
+def polygons_of(dataset: gdal.Dataset) -> Iterator[ogr.Geometry]:
+    """The borders of connected cells of a raster's first band that are not 0, in the order of their first cells."""
+    band = dataset.GetRasterBand(1)
     store = ogr.GetDriverByName("Memory").CreateDataSource("cells")
     with quiet():
         layer = store.CreateLayer("cells", None, ogr.wkbPolygon)
         gdal.Polygonize(band, band, layer, -1, [])
-    found = [feature.GetGeometryRef().Clone() for feature in layer]
-    layer = store = band = memory = None  # noqa: F841 - in this order, or OGR's objects outlive their file
-    return found
+    for feature in layer:
+        yield feature.GetGeometryRef().Clone()
+    feature = layer = store = None  # noqa: F841 - in this order, or OGR's objects outlive their file

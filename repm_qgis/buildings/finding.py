@@ -50,11 +50,11 @@ def find_buildings(
     progress: Progress,
     parameters: BuildingParameters = BUILDINGS,
 ) -> FoundBuildings:
-    """Find the buildings of a DSM above a terrain; ``folder`` takes what exists between.
+    """Find the buildings of a DSM, which :func:`require_metres` has let pass, above a terrain; ``folder`` takes what
+    exists between.
 
     Raises ImageError and OverlapError for rasters that cannot be used, WorkspaceError.
     """
-    require_metres(surface)
     with ExitStack() as stack, quiet():
         rasters = Rasters(surface, terrain, options.ortho, stack)
 

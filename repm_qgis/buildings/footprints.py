@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from typing import Callable, List
 
 import numpy as np
-from osgeo import gdal, ogr
+from osgeo import ogr
 from scipy import ndimage
 
 from ..contracts.arrays import FloatImage, Mask
 from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster
+from .burning import polygons_of
 from .cells import Cells, Rasters
 from .local_planes import local_planes
 from .parameters import BUILDINGS, BuildingParameters, FootprintParameters
@@ -113,19 +114,13 @@ def write_cells(
 def borders(path: str, cell: float, least_m2: float, hole_m2: float, check: Callable[[], None]) -> List[Border]:
     """The borders of connected cells that are at least ``least_m2``, without courtyards smaller than ``hole_m2``, in
     the order of their first cells."""
-    memory = ogr.GetDriverByName("Memory").CreateDataSource("buildings")
-    with raster.opened(path) as dataset:
-        layer = memory.CreateLayer("buildings", dataset.GetSpatialRef(), ogr.wkbPolygon)
-        band = dataset.GetRasterBand(1)
-        with raster.quiet():
-            gdal.Polygonize(band, band, layer, -1, [])
     found = []
-    for feature in layer:
-        check()
-        shape = without_small_holes(feature.GetGeometryRef(), hole_m2)
-        if shape.GetArea() >= max(least_m2, cell * cell):
-            found.append(Border(bytes(shape.ExportToWkb()), float(shape.GetArea())))
-    feature = layer = memory = None  # noqa: F841 - in this order, or OGR's objects outlive their file
+    with raster.opened(path) as dataset:
+        for outline in polygons_of(dataset):
+            check()
+            shape = without_small_holes(outline, hole_m2)
+            if shape.GetArea() >= max(least_m2, cell * cell):
+                found.append(Border(bytes(shape.ExportToWkb()), float(shape.GetArea())))
     return found
 
 

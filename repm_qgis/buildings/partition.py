@@ -19,7 +19,7 @@ from .burning import burned, outlined
 from .parameters import BUILDINGS, BuildingParameters
 from .regularisation import regular
 from .roofs import Plane, RoofCells, RoofPlanes
-from .solids import Node, Ring, RoofPart, signed_area, traced
+from .solids import Node, Ring, RoofPart, edges_of, signed_area, traced
 
 _ROUNDED = 3
 
@@ -207,7 +207,7 @@ def _merged(faces: Sequence[ogr.Geometry], labels: Sequence[int]) -> List[RoofPa
     edges: Dict[Tuple[Node, Node], int] = {}
     for index, face in enumerate(faces):
         for ring in _rings(face):
-            edges.update({edge: index for edge in zip(ring, [*ring[1:], ring[0]])})
+            edges.update({edge: index for edge in edges_of(ring)})
     group = list(range(len(faces)))
 
     def root(index: int) -> int:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from dataclasses import dataclass
-from typing import Dict, List, Sequence, Set, Tuple
+from typing import Dict, List, Sequence, Set, Tuple, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,7 @@ GROUND, WALL, ROOF = "GroundSurface", "WallSurface", "RoofSurface"
 Node = Tuple[float, float]
 Corner = Tuple[float, float, float]
 Ring = List[Node]
+_Place = TypeVar("_Place")
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ def solid(parts: Sequence[RoofPart], planes: Sequence[Plane], floor: float, orig
     for (node, _), height in heights.items():
         if height not in columns[node]:
             columns[node].append(height)
-    owner = {edge: index for index, part in enumerate(parts) for ring in part.rings for edge in _edges(ring)}
+    owner = {edge: index for index, part in enumerate(parts) for ring in part.rings for edge in edges_of(ring)}
     for a, b in owner:
         if (b, a) not in owner:  # an outer wall
             for node in (a, b):
@@ -76,7 +77,8 @@ def solid(parts: Sequence[RoofPart], planes: Sequence[Plane], floor: float, orig
     return faces + _grounds(base)
 
 
-def _edges(ring: Ring) -> List[Tuple[Node, Node]]:
+def edges_of(ring: Sequence[_Place]) -> List[Tuple[_Place, _Place]]:
+    """The edges of a ring, the last one of which leads back to its first place."""
     return list(zip(ring, [*ring[1:], ring[0]]))
 
 
@@ -108,7 +110,7 @@ def _one_height(node: Node, group: Sequence[Tuple[float, int]]) -> Dict[Tuple[No
 
 def _without_crossings(parts: Sequence[RoofPart], planes: Sequence[Plane], origin: Node) -> List[RoofPart]:
     """The parts with a place more on each common border along which one plane crosses the other."""
-    owner = {edge: part for part in parts for ring in part.rings for edge in _edges(ring)}
+    owner = {edge: part for part in parts for ring in part.rings for edge in edges_of(ring)}
     extra: Dict[Tuple[Node, Node], Node] = {}
     for (a, b), part in owner.items():
         other = owner.get((b, a))
@@ -125,7 +127,7 @@ def _without_crossings(parts: Sequence[RoofPart], planes: Sequence[Plane], origi
 
     def longer(ring: Ring) -> Ring:
         found = []
-        for edge in _edges(ring):
+        for edge in edges_of(ring):
             found += [edge[0], extra[edge]] if edge in extra else [edge[0]]
         return found
 
@@ -199,7 +201,7 @@ def is_closed(faces: Sequence[Face]) -> bool:
         for ring in face.rings:
             if len(set(ring)) < max(3, len(ring)):
                 return False
-            for edge in zip(ring, [*ring[1:], ring[0]]):
+            for edge in edges_of(ring):
                 if edge in seen:
                     return False
                 seen.add(edge)
