@@ -254,7 +254,7 @@ def typed(kind: Kind, value: object) -> Typed:
         return _tuple(arguments, value)
     if origin is dict:
         return {str(name): _entry(arguments[1], entry, name) for name, entry in mapping(value).items()}
-    if getattr(origin, "__name__", "") == "ndarray":
+    if _is_array(origin):
         return _array(value)
     if isinstance(value, kind) and (kind is bool or not isinstance(value, bool)):
         reason = _text_problem(value) if kind is str else _not_finite(value)
@@ -267,6 +267,12 @@ def typed(kind: Kind, value: object) -> Typed:
         return float(value)
     name = {str: "a text", int: "a whole number", float: "a number", bool: "true or false"}.get(kind, kind.__name__)
     raise Misfit(f"must be {name}", shown(value))
+
+
+def _is_array(origin: Kind) -> bool:
+    """Whether ``NDArray[...]`` has this origin: ``ndarray``, or since numpy 2.5 an alias that stands for it."""
+    meant: Kind = getattr(origin, "__value__", origin)
+    return getattr(get_origin(meant) or meant, "__name__", "") == "ndarray"
 
 
 def unfit(kind: Kind, value: object) -> str:
