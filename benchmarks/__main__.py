@@ -47,9 +47,9 @@ def main() -> int:
         texts = [text for part in chosen for text in section.parts[part]()]
         if texts:
             print("\n\n".join([f"## {section.title}", *texts]), flush=True)
-        if options.write and len(chosen) == len(section.parts):
+        if options.write and texts and len(chosen) == len(section.parts):
             publish(section, texts)
-        elif options.write and chosen:
+        elif options.write and texts and chosen:
             runner.say(f"{section.name} is not written: only {', '.join(chosen)} of its parts were run.")
     return 0
 

@@ -1,6 +1,6 @@
 """COLMAP's PatchMatch on CUDA beside ``sgm``: DSM scores, seconds, GPU memory for each Mpx.
 
-Needs an NVIDIA GPU and ``pycolmap-cuda12``; where they are not there, the page says "not measured".
+Needs an NVIDIA GPU and ``pycolmap-cuda12``; where they are not there, the page keeps what the last GPU gave.
 """
 
 from __future__ import annotations
@@ -114,14 +114,8 @@ def big() -> List[List[object]]:
 def beside_sgm() -> List[str]:
     found, devices = cuda(), gpus()
     if not found["usable"] or not devices:
-        return [
-            f"**Not measured: no CUDA device here** ({found['remedy'].split(',')[0]}). Open are: DSM scores of "
-            "`truth_urban`, the real pair and the triplet beside sgm's; seconds and GPU memory for each Mpx, "
-            "against what `colmap/runner.py` computes; and the time of three simulated ZY-3 images of 5120 x "
-            "5120 px (paper: 7.3 min on an A100; goal: under 60 s on one H200 or A100). Whether `auto` should "
-            "prefer colmap, and how much the frame should stretch heights, is open with them. What was verified "
-            "without a GPU: [method](method.md#matching-with-colmap-on-a-gpu)."
-        ]
+        say(f"Not measured, and nothing is written: no CUDA device here ({found['remedy'].split(',')[0]}).")
+        return []
     return [
         f"On {devices[0]}. Matching is the stage `reconstruct`, ties included; memory is the most in use on the GPU.",
         table(HEADERS, rows()),

@@ -4,8 +4,8 @@ A backend turns the tiles of a scene into height maps. Two kinds are in use: a m
 :class:`repm_qgis.matching.pair_backend.PairBackend` runs over all tiles and pairs (``sgm``), and one that matches all
 views of a tile together (``colmap``). A third kind, a cost volume, is a pair matcher whose function aggregates the
 volume, selects the disparities, and calls the same steps as ``sgm`` after that. A new backend is a module with an
-object ``BACKEND``, a line in ``_MODULES`` here, and its name in ``options.BACKENDS``; ``_MEASURED`` has it once it was
-measured. This module imports nothing that QGIS may lack, so that the dialogs can call it.
+object ``BACKEND``, a line in ``_MODULES`` here, and its name in ``options.BACKENDS``; ``_PREFERRED`` has it once its
+DSMs are at least as good. This module imports nothing that QGIS may lack, so that the dialogs can call it.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 _AUTO = "auto"
 _MODULES = {"colmap": "repm_qgis.matching.colmap_backend", "sgm": "repm_qgis.matching.sgm"}
 """Where each backend's object ``BACKEND`` is."""
-_MEASURED = ("sgm",)
+_PREFERRED = ("sgm",)
 """Those that ``auto`` chooses from, the best one first: it takes the first usable one, and the next where that fails.
 
-A backend is here once docs/benchmarks.md has its DSMs beside the others'. COLMAP's on CUDA was measured on no GPU yet.
+A backend is here once docs/benchmarks.md shows that its DSMs are as good. COLMAP's on an H100 are not, and take longer.
 """
 NEED_A_DEVICE = frozenset({"colmap"})
 """The backends that may be unable to run: only these must be asked for a remedy."""
@@ -122,7 +122,7 @@ def resolve(name: str) -> List[Backend]:
     require(name)
     if name != _AUTO:
         return [backend_of(name)]
-    return [backend for backend in map(backend_of, _MEASURED) if backend.usable()]
+    return [backend for backend in map(backend_of, _PREFERRED) if backend.usable()]
 
 
 def require(name: str) -> None:

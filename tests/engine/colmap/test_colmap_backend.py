@@ -399,7 +399,7 @@ def with_gpu(monkeypatch):
         monkeypatch.setattr(colmap_backend, "cuda_usable", lambda: True)
         monkeypatch.setattr(colmap_backend, "cuda", lambda: {"remedy": ""})
         monkeypatch.setattr(colmap_backend, "BACKEND", ColmapBackend(run, lambda: [GPU]))
-        monkeypatch.setattr(backends, "_MEASURED", ("colmap", "sgm"))  # as once it is measured
+        monkeypatch.setattr(backends, "_PREFERRED", ("colmap", "sgm"))  # as if it were better
 
     return make
 
@@ -524,7 +524,7 @@ def test_auto_is_sgm_where_no_device_answers(monkeypatch):
     assert names("auto") == names("sgm") == ["sgm"]
     monkeypatch.setattr(colmap_backend, "cuda_usable", lambda: True)
     assert names("auto") == ["sgm"], "COLMAP on CUDA was measured nowhere"
-    monkeypatch.setattr(backends, "_MEASURED", ("colmap", "sgm"))
+    monkeypatch.setattr(backends, "_PREFERRED", ("colmap", "sgm"))
     assert names("auto") == ["colmap", "sgm"]
 
 
