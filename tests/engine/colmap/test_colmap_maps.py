@@ -9,12 +9,14 @@ import pytest
 from repm_qgis.colmap.maps import read_map
 from repm_qgis.contracts.errors import ImageError
 from tests.engine.colmap.emulation import write_map
+from tests.engine.versions import needs_pycolmap_4
 
 
 def values():
     return np.random.default_rng(0).normal(size=(7, 11)).astype(np.float32)
 
 
+@needs_pycolmap_4
 def test_colmap_reads_what_is_written_and_writes_what_is_read(tmp_path):
     path = str(tmp_path / "depth.bin")
     write_map(path, values())

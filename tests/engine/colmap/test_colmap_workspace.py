@@ -15,6 +15,7 @@ from repm_qgis.geometry.frames import projected_from_geodetic
 from repm_qgis.imagery.enhancement import view_stretch
 from tests.engine.colmap.emulation import Workspace, write_map
 from tests.engine.colmap.truth_depths import depths_of, surface_at, true_frame, true_heights
+from tests.engine.versions import needs_pycolmap_4
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +29,7 @@ def made(urban, tmp_path_factory):
     return scene, tile, folder, images
 
 
+@needs_pycolmap_4
 def test_colmap_opens_it(made):
     scene, tile, folder, images = made
     model = pycolmap.Reconstruction(os.path.join(folder, "sparse"))
@@ -48,6 +50,7 @@ def test_colmap_opens_it(made):
     assert 0.9 < low < high < 2.2
 
 
+@needs_pycolmap_4
 def test_lists_name_references_and_sources(made):
     workspace = Workspace(made[2])
     assert workspace.problems == {
@@ -59,6 +62,7 @@ def test_lists_name_references_and_sources(made):
         assert stream.read().split() == ["0000.png", "0001.png", "0002.png"]
 
 
+@needs_pycolmap_4
 def test_images_are_the_original_resampled_once(made):
     """Each pixel is the original's value where the exact map leads, to what 8 bits can tell."""
     from repm_qgis.imagery.raster import opened
@@ -77,6 +81,7 @@ def test_images_are_the_original_resampled_once(made):
     assert (workspace.images["0001.png"][~known] == 0).all()
 
 
+@needs_pycolmap_4
 def test_masked_pixels_are_none(made, tmp_path, write_image):
     """A mask over the image's left half: no view_intensity there, and black for COLMAP."""
     from dataclasses import replace
@@ -109,6 +114,7 @@ def fused(folder, **options):
     return np.array([point.xyz for point in found.points3D.values()]).reshape(-1, 3)
 
 
+@needs_pycolmap_4
 def test_the_installed_colmap_counts_from_pixel_centres_here(made):
     """One pixel with a depth, through COLMAP's own fusion: its point must lie on our ray, not half a pixel beside."""
     _, tile, folder, _ = made

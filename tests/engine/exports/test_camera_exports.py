@@ -21,6 +21,7 @@ from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic
 from repm_qgis.geometry.jitter import Jitter
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
+from tests.engine.versions import needs_pycolmap_4
 
 TILE = "r000c000"
 
@@ -122,6 +123,7 @@ def pixels_of(path):
     return values
 
 
+@needs_pycolmap_4
 @pytest.mark.parametrize("form", ["sparse/0", "sparse_text"])
 @pytest.mark.long
 def test_pycolmap_sees_what_the_refined_cameras_see(exported, scenes, ground, form):
@@ -135,6 +137,7 @@ def test_pycolmap_sees_what_the_refined_cameras_see(exported, scenes, ground, fo
         np.testing.assert_allclose(seen, expected, rtol=0, atol=1e-6)
 
 
+@needs_pycolmap_4
 @pytest.mark.parametrize("centre", [False, True])
 @pytest.mark.parametrize("scene", ["refined", "rebuilt"])
 def test_what_colmap_sees_lies_where_the_sensor_sees_it(exported, scenes, ground, centre, scene):
@@ -153,6 +156,7 @@ def test_what_colmap_sees_lies_where_the_sensor_sees_it(exported, scenes, ground
         assert (np.abs(view.shift_px).max() > 0.1) == (scene == "rebuilt")
 
 
+@needs_pycolmap_4
 def test_centred_cameras_look_at_their_images_middle(exported):
     model, _ = exported("colmap")
     for line in (model / "sparse_text" / "cameras.txt").read_text().splitlines():
@@ -163,6 +167,7 @@ def test_centred_cameras_look_at_their_images_middle(exported):
             assert size_of(model / "images" / "img_01.png")[2:] == (1, gdal.GDT_Byte)
 
 
+@needs_pycolmap_4
 def test_stock_colmap_triangulates_the_town(exported, scenes, urban, tmp_path):
     """SIFT, matching and triangulation by pycolmap alone, from the exported folder alone."""
     pycolmap = pytest.importorskip("pycolmap")
@@ -198,6 +203,7 @@ def test_stock_colmap_triangulates_the_town(exported, scenes, urban, tmp_path):
     assert np.median(np.abs(difference - np.median(difference))) < 1.0
 
 
+@needs_pycolmap_4
 def test_tie_points_come_along(exported, scenes):
     pycolmap = pytest.importorskip("pycolmap")
     model, _ = exported("colmap", "rebuilt")
@@ -214,6 +220,7 @@ def test_tie_points_come_along(exported, scenes):
     assert json.loads((exported("colmap")[0] / "frame.json").read_text())["points"] == 0
 
 
+@needs_pycolmap_4
 @pytest.mark.parametrize("centre", [False, True])
 def test_all_formats_tell_the_same_pixels(exported, ground, centre):
     colmap = colmap_pixels(exported("colmap", centre=centre)[0], ground[1])
@@ -270,6 +277,7 @@ def test_whutlc_has_square_pixels_and_one_size(exported, scenes, ground, centre)
     assert len(sizes) == 1 and all(side % 64 == 0 for side in sizes.pop())
 
 
+@needs_pycolmap_4
 def test_eight_bits_are_the_stretched_refined_image(exported, scenes):
     from repm_qgis.imagery.enhancement import view_stretch
 
@@ -354,6 +362,7 @@ def test_nothing_of_others_is_replaced(scenes, tmp_path, told):
         run_stage("exportcameras", {**options, "folder": str(tmp_path / "x"), "format": "mvsnet"}, told())
 
 
+@needs_pycolmap_4
 def test_what_cannot_be_exported_is_said(scenes, tmp_path, told, monkeypatch):
     options = {"scene": scenes["refined"], "folder": str(tmp_path / "never")}
     with pytest.raises(SceneError, match="run 'Refine the images' first"):

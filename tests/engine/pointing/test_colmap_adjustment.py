@@ -16,6 +16,7 @@ from repm_qgis.pointing.colmap_adjustment import adjust_colmap
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
 from repm_qgis.ties.tracks import Track
+from tests.engine.versions import needs_pycolmap_4
 
 pytest.importorskip("pycolmap")
 
@@ -45,6 +46,7 @@ def fitted(request, tmp_path_factory, told):
     return truth, Scene.load(made["scene"])
 
 
+@needs_pycolmap_4
 @pytest.mark.parametrize("outliers", (0.0, 0.2))
 @pytest.mark.long
 def test_the_shifts_are_those_against_the_rpcs(fitted, told, outliers):
@@ -58,6 +60,7 @@ def test_the_shifts_are_those_against_the_rpcs(fitted, told, outliers):
     assert "COLMAP" in theirs.reason and theirs.model == "shift"
 
 
+@needs_pycolmap_4
 def test_no_view_is_the_truth(fitted, told):
     truth, scene = fitted
     found = adjust_colmap(scene, true_tracks(truth), told())
@@ -66,6 +69,7 @@ def test_no_view_is_the_truth(fitted, told):
         np.testing.assert_array_equal(pointing[:, :2], np.eye(2))
 
 
+@needs_pycolmap_4
 def test_errors_of_many_pixels_are_found_in_several_patches(fitted, told):
     """Tiles of a quarter of the scene: four patches and more, whose shifts are joined."""
     truth, scene = fitted
@@ -82,6 +86,7 @@ def test_errors_of_many_pixels_are_found_in_several_patches(fitted, told):
         np.testing.assert_allclose(theirs.shifts[name], shift, atol=0.03)
 
 
+@needs_pycolmap_4
 def test_the_present_pointing_does_not_matter(fitted, told):
     truth, scene = fitted
     tracks = true_tracks(truth, 60)
@@ -93,6 +98,7 @@ def test_the_present_pointing_does_not_matter(fitted, told):
         np.testing.assert_array_equal(plain[name], after[name])
 
 
+@needs_pycolmap_4
 def test_too_few_ties(fitted, told):
     truth, scene = fitted
     with pytest.raises(EmptyResultError, match="ADJUSTMENT rpc"):
@@ -116,6 +122,7 @@ def test_what_it_cannot_do_is_said_before_the_work():
             ReconstructOptions(**{"scene": "s", "output_scene": "o", "adjustment": "colmap", **more})
 
 
+@needs_pycolmap_4
 @pytest.mark.slow
 def test_both_routes_make_the_same_dsm(urban, tmp_path, told):
     made = run_stage("epmfit", {"images": urban.images, "workspace": str(tmp_path)}, told())
