@@ -18,9 +18,9 @@ from benchmarks.answers_dtm import _lidar, _town
 from benchmarks.runner import few, is_quick, say
 from benchmarks.scenes import SHARED, default
 from benchmarks.tables import Section, table
-from repm_qgis.buildings.burning import burned
 from repm_qgis.evaluation.coregistration import Alignment
 from repm_qgis.evaluation.scoring import score_files
+from repm_qgis.imagery.cell_polygons import burned
 from repm_qgis.imagery.raster import opened, read
 from repm_qgis.numerics.robust import nmad
 from repm_qgis.runtime.progress import Silent

@@ -11,8 +11,8 @@ from osgeo import ogr
 from scipy import ndimage
 
 from ..contracts.arrays import FloatArray, Mask
+from ..imagery.cell_polygons import inside
 from ..numerics.robust import nmad
-from .burning import inside
 from .cells import Cells, Rasters
 from .footprints import disc, in_cells
 from .parameters import BUILDINGS, BuildingParameters

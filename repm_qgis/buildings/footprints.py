@@ -18,7 +18,7 @@ from scipy import ndimage
 from ..contracts.arrays import FloatImage, Mask
 from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster
-from .burning import polygons_of
+from ..imagery.cell_polygons import polygons_of
 from .cells import Cells, Rasters
 from .local_planes import local_planes
 from .parameters import BUILDINGS, BuildingParameters, FootprintParameters

@@ -7,9 +7,9 @@ from osgeo import ogr
 
 from ..contracts.arrays import ByteImage, FloatArray, FloatImage
 from ..contracts.options import BuildingsOptions
+from ..imagery.cell_polygons import burned
 from ..reports import charts, pictures
 from ..reports.report import Report, fixed
-from .burning import burned
 from .finding import FoundBuildings
 
 _PICTURE_PX = 900

@@ -15,7 +15,7 @@ from osgeo import ogr
 from scipy import ndimage
 
 from ..contracts.arrays import FloatArray, IntArray, Mask
-from .burning import burned, outlined
+from ..imagery.cell_polygons import burned, outlined
 from .parameters import BUILDINGS, BuildingParameters
 from .regularisation import regular
 from .roofs import Plane, RoofCells, RoofPlanes

@@ -9,7 +9,7 @@ from osgeo import ogr
 from scipy import ndimage
 
 from ..contracts.arrays import FloatImage, IntArray, Mask
-from .burning import inside, outlined
+from ..imagery.cell_polygons import inside, outlined
 from .cells import Rasters
 from .footprints import disc, in_cells, without_small_holes
 from .parameters import BUILDINGS, BuildingParameters, SegmentParameters

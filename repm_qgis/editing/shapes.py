@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from typing import List, Optional, Tuple
 
 import numpy as np
-from osgeo import gdal, ogr, osr
+from osgeo import ogr, osr
 
 from ..contracts.arrays import FloatArray, Mask, Window
 from ..contracts.errors import InputTableError
 from ..evaluation.grids import Grid
 from ..geometry.frames import flat_crs
-from ..imagery.raster import quiet
+from ..imagery.cell_polygons import inside
 from .edits import Edit, Edits
 
 
@@ -44,19 +44,9 @@ class Shape:
 
     def covered(self, window: Window) -> Mask:
         """(H, W) the cells of a window whose centres the shape covers."""
-        return self._inside(window) if self.polygon is not None else self.along(window)[0] <= self.half
-
-    def _inside(self, window: Window) -> Mask:
-        target = gdal.GetDriverByName("MEM").Create("", window.width, window.height, 1, gdal.GDT_Byte)
-        target.SetGeoTransform((window.col, 1.0, 0.0, window.row, 0.0, 1.0))
-        source = ogr.GetDriverByName("Memory").CreateDataSource("edit")
-        layer = source.CreateLayer("edit", None, ogr.wkbUnknown)
-        feature = ogr.Feature(layer.GetLayerDefn())
-        feature.SetGeometry(self.polygon)
-        layer.CreateFeature(feature)
-        with quiet():  # cells have no CRS, of which GDAL warns
-            gdal.RasterizeLayer(target, [1], layer, burn_values=[1])
-        return np.asarray(target.ReadAsArray() > 0)
+        if self.polygon is None:
+            return self.along(window)[0] <= self.half
+        return inside(self.polygon, (window.height, window.width), (window.col, 1.0, 0.0, window.row, 0.0, 1.0))
 
     def along(self, window: Window) -> Tuple[FloatArray, FloatArray]:
         """(H, W) how far each cell's centre is from the lines, in cells, infinite beyond their width; and the lines'

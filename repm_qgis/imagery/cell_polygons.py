@@ -8,7 +8,7 @@ import numpy as np
 from osgeo import gdal, ogr
 
 from ..contracts.arrays import FloatArray, Mask
-from ..imagery.raster import quiet
+from .raster import quiet
 
 
 def burned(
