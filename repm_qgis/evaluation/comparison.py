@@ -31,7 +31,11 @@ _THUMBNAIL_PX = 1000
 
 @dataclass(frozen=True)
 class Comparison:
-    """What was found. Thumbnails are (rows, columns) means of ``thumbnail_factor``² cells, NaN = none."""
+    """What was found. Thumbnails are (rows, columns) means of ``thumbnail_factor``² cells, NaN = none.
+
+    ``along_normals`` has the signed distances from the reference to the DSM along the reference's normals, not up:
+    the height differences times the cosines of the reference's slopes, for cells between neighbours with heights.
+    """
 
     dsm: Grid
     reference: Grid
@@ -40,6 +44,7 @@ class Comparison:
     metrics: HeightMetrics
     exact: bool
     by_slope: List[Tuple[str, HeightMetrics]]
+    along_normals: HeightMetrics
     by_class: List[Tuple[str, HeightMetrics]]
     profiles: List[Profile]
     histogram: IntArray
@@ -111,6 +116,7 @@ def compare(
         metrics=metrics,
         exact=work.total.exact,
         by_slope=slopes,
+        along_normals=work.along_normals.metrics(),
         by_class=kinds,
         profiles=profiles,
         histogram=work.histogram,
@@ -179,6 +185,7 @@ class _Blocks:
         self.total = ErrorCollector(thresholds)
         edges = parameters.slope_edges_deg
         self.by_slope = [(low, high, ErrorCollector.of_part(thresholds)) for low, high in zip(edges, edges[1:])]
+        self.along_normals = ErrorCollector.of_part(thresholds)
         self.histogram = np.zeros(2 * _HISTOGRAM_HALF, np.int64)
         self.thumbnails = Thumbnails(self._grid.size, ("dsm", "reference", "error"))
 
@@ -191,7 +198,7 @@ class _Blocks:
             reference, cells = outer[1:-1, 1:-1], self._grid.window(window)
             dsm = self._warper.read(cells, self._alignment)
             difference = dsm - reference
-            self._collect(difference, reference, np.degrees(np.arctan(gradient(outer, self._cell))))
+            self._collect(difference, reference, gradient(outer, self._cell))
             if self._by_class is not None:
                 self._by_class.add(cells, difference, np.isfinite(reference))
             self.thumbnails.draw(window, dsm=dsm, reference=reference, error=difference)
@@ -215,8 +222,8 @@ class _Blocks:
         outer[inner.inside(around)] = read_heights(self._reference, inner)
         return outer
 
-    def _collect(self, difference: FloatImage, reference: FloatImage, slope: FloatImage) -> None:
-        known = np.isfinite(reference)
+    def _collect(self, difference: FloatImage, reference: FloatImage, rise: FloatImage) -> None:
+        known, slope = np.isfinite(reference), np.degrees(np.arctan(rise))
         self.total.add(difference, int(known.sum()))
         values = difference[np.isfinite(difference)]
         bins = np.clip(np.floor(values / HISTOGRAM_BIN_M), -_HISTOGRAM_HALF, _HISTOGRAM_HALF - 1).astype(np.int64)
@@ -224,6 +231,7 @@ class _Blocks:
         for low, high, collector in self.by_slope:
             inside = known & (slope >= low) & (slope < high)
             collector.add(difference[inside], int(inside.sum()))
+        self.along_normals.add(difference / np.hypot(1.0, rise), int((known & np.isfinite(rise)).sum()))
 
 
 def _flush(error: Optional[raster.RasterWriter], *datasets: gdal.Dataset) -> None:

@@ -141,6 +141,15 @@ def _metrics(page: Report, found: Comparison) -> None:
     _accuracy_tables(page, found, "Reference slope", found.by_slope)
     if found.by_class:
         _accuracy_tables(page, found, "Class", found.by_class)
+    normal = found.along_normals
+    figures = fixed(normal.rmse, normal.medae, normal.mae, normal.nmad, normal.le90, normal.bias)
+    page.table(
+        "Measured | Compared cells | RMSE (m) | MedAE (m) | MAE (m) | NMAD (m) | LE90 (m) | bias (m)",
+        [["along the normal", normal.cells, *figures]],
+        "On a steep slope or at a wall, a small shift to the side is a large difference in height. This distance is "
+        "measured at right angles to the reference's surface: the height difference times the cosine of the slope. "
+        "It is positive where the DSM is above. Cells beside holes have no slope and are not counted.",
+    )
     page.paragraph(
         "The DSM is resampled onto the reference's grid bilinearly, from cells that have heights only. Where less "
         "than half of a cell's weight has a height there is no error, so holes neither grow nor shrink. gdalwarp "

@@ -62,9 +62,10 @@ def _all_compared(options: CompareDsmOptions, progress: Progress) -> JsonObject:
         )
     progress.step(1.0, "Done")
     by_class = {name: _accuracy(metrics) for name, metrics in found[0].by_class}
+    along_normals = _accuracy(found[0].along_normals)
     others = [{"dsm": path, **_figures(one)} for path, one in zip(paths[1:], found[1:])]
     written = {"error": options.error, "report": options.report}
-    return {**written, **_figures(found[0]), "by_class": by_class, "others": others}
+    return {**written, **_figures(found[0]), "along_normals": along_normals, "by_class": by_class, "others": others}
 
 
 def _compared(options: CompareDsmOptions, path: str, progress: Progress) -> Comparison:

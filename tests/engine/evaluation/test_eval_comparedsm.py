@@ -48,6 +48,27 @@ def score(shared_data, dsm, reference):
     return json.loads(done.stdout)["raw"]
 
 
+@pytest.mark.parametrize(
+    ("moved", "height", "distance"),
+    [((0.0, 0.0, 1.25), 1.25, 1.0), ((1.0, 0.0, 0.0), -0.75, -0.6), ((-0.6, 0.0, 0.8), 1.25, 1.0)],
+    ids=["up", "down the slope", "along the normal"],
+)
+def test_distances_along_the_normal_of_a_tilted_plane(make_raster, tmp_path, moved, height, distance):
+    """A plane that rises by 3 m on 4 m: its normal is (-0.6, 0, 0.8)."""
+    east = np.tile(0.5 * (np.arange(60) + 0.5), (50, 1))  # cells of 0.5 m
+    reference, dsm = 0.75 * east, 0.75 * (east - moved[0]) + moved[2]
+    reference[20:24, 30:36] = np.nan  # its border has no slope
+    page = tmp_path / "r.html"
+    got = compare(make_raster("dsm.tif", dsm), make_raster("ref.tif", reference), report=str(page))
+    assert got["bias"] == pytest.approx(height, abs=1e-4) and got["cells"] == 60 * 50 - 24
+    normal = got["along_normals"]
+    assert normal["bias"] == pytest.approx(distance, abs=0.003) and normal["rmse"] == pytest.approx(
+        abs(distance), abs=1e-4
+    )
+    assert normal["cells"] == 58 * 48 - 24 - 2 * (4 + 6)  # neither the raster's rim, nor the hole's four sides
+    assert "along the normal" in page.read_text(encoding="utf-8")
+
+
 def test_numbers_raster_and_report(make_raster, tmp_path, terrain):
     rng = np.random.default_rng(1)
     reference = terrain(300, 340)
