@@ -36,3 +36,12 @@ def test_the_index_has_wheels_of_all_packages(platform, python, tmp_path):
         if line and not line.startswith("#"):
             name = line.split(">")[0]
             assert f" {name}-" in done.stdout.replace("_", "-"), done.stdout
+
+
+def test_the_engines_own_wheel_needs_what_the_installer_installs():
+    """Who has the engine without QGIS gets the same packages."""
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    needs = project.partition("\ndependencies = [\n")[2].partition("]")[0]
+    lines = (ROOT / "requirements.txt").read_text(encoding="utf-8").splitlines()
+    missing = [line for line in lines if line and not line.startswith("#") and f'"{line}"' not in needs]
+    assert needs and not missing

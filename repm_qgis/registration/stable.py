@@ -77,7 +77,7 @@ def _in_raster(path: str, grid: CellGrid, crs: str) -> Mask:
             width=columns,
             height=rows,
             resampleAlg="near",
-            dstNodata=0,
+            dstNodata=float("nan"),  # not 0: newer GDAL moves the raster's own zeros away from it
             outputType=gdal.GDT_Float32,
         )
         values = warped.GetRasterBand(1).ReadAsArray()
