@@ -10,6 +10,11 @@ import json
 from repm_qgis.rpc import Rpc
 
 
+def _digits(value: float) -> str:
+    """All digits of a number; numpy's own numbers have their type around them since numpy 2."""
+    return repr(float(value))
+
+
 def _scalars(rpc: Rpc):
     """(name of the axis, offset, scale), in the order of RPC00B."""
     return (
@@ -28,10 +33,10 @@ def _polynomials(rpc: Rpc):
 def key_value(rpc: Rpc, units: bool = True, width: int = 1) -> str:
     """``_RPC.TXT``: IKONOS with units, Planet and SkySat without; ``width`` 2 counts coefficients 01, 02, ..."""
     unit = {"LINE": " pixels", "SAMP": " pixels", "LAT": " degrees", "LONG": " degrees", "HEIGHT": " meters"}
-    lines = [f"{axis}_OFF: {off!r}{unit[axis] if units else ''}" for axis, off, _ in _scalars(rpc)]
-    lines += [f"{axis}_SCALE: {scale!r}{unit[axis] if units else ''}" for axis, _, scale in _scalars(rpc)]
+    lines = [f"{axis}_OFF: {_digits(off)}{unit[axis] if units else ''}" for axis, off, _ in _scalars(rpc)]
+    lines += [f"{axis}_SCALE: {_digits(scale)}{unit[axis] if units else ''}" for axis, _, scale in _scalars(rpc)]
     for name, values in _polynomials(rpc):
-        lines += [f"{name}_COEFF_{i:0{width}d}: {value!r}" for i, value in enumerate(values, start=1)]
+        lines += [f"{name}_COEFF_{i:0{width}d}: {_digits(value)}" for i, value in enumerate(values, start=1)]
     return "\n".join(lines) + "\n"
 
 
@@ -56,10 +61,10 @@ def rpb(rpc: Rpc) -> str:
         "\terrBias =  1.09;",
         "\terrRand =  0.24;",
     ]
-    lines += [f"\t{axis[name]}Offset = {off!r};" for name, off, _ in _scalars(rpc)]
-    lines += [f"\t{axis[name]}Scale = {scale!r};" for name, _, scale in _scalars(rpc)]
+    lines += [f"\t{axis[name]}Offset = {_digits(off)};" for name, off, _ in _scalars(rpc)]
+    lines += [f"\t{axis[name]}Scale = {_digits(scale)};" for name, _, scale in _scalars(rpc)]
     for name, (_, values) in zip(("lineNumCoef", "lineDenCoef", "sampNumCoef", "sampDenCoef"), _polynomials(rpc)):
-        lines += [f"\t{name} = (", *(f"\t\t\t{value!r}," for value in values[:-1]), f"\t\t\t{values[-1]!r});"]
+        lines += [f"\t{name} = (", *(f"\t\t\t{_digits(value)}," for value in values[:-1]), f"\t\t\t{values[-1]!r});"]
     return "\n".join(lines) + "\nEND_GROUP = IMAGE\nEND;\n"
 
 
@@ -78,7 +83,7 @@ def _dimap(rpc: Rpc, first: int, profile: str, version: str, forward: str, back:
     lines += [f"<{name}_COEFF_{i}>{0.5 + i}</{name}_COEFF_{i}>" for name in back_names for i in range(1, 21)]
     lines += [f"</{back}>", f"<{forward}>"]
     lines += [
-        f"<{name}_COEFF_{i}>{value!r}</{name}_COEFF_{i}>"
+        f"<{name}_COEFF_{i}>{_digits(value)}</{name}_COEFF_{i}>"
         for name, values in _polynomials(rpc)[::-1]
         for i, value in enumerate(values, start=1)
     ]
@@ -92,7 +97,7 @@ def _dimap(rpc: Rpc, first: int, profile: str, version: str, forward: str, back:
     ]
     for axis, off, scale in _scalars(rpc):
         shift = first if axis in ("LINE", "SAMP") else 0
-        lines += [f"<{axis}_SCALE>{scale!r}</{axis}_SCALE>", f"<{axis}_OFF>{off + shift!r}</{axis}_OFF>"]
+        lines += [f"<{axis}_SCALE>{_digits(scale)}</{axis}_SCALE>", f"<{axis}_OFF>{off + shift!r}</{axis}_OFF>"]
     lines += ["</RFM_Validity>", "</Global_RFM>", "</Rational_Function_Model>", "</Dimap_Document>"]
     return "\n".join(lines) + "\n"
 
@@ -132,11 +137,11 @@ def maxar_xml(rpc: Rpc) -> str:
         "<IMAGE>",
         "<ERRBIAS>2.668e+01</ERRBIAS>",
     ]
-    lines += [f"<{axis}OFFSET>{off!r}</{axis}OFFSET>" for axis, off, _ in _scalars(rpc)]
-    lines += [f"<{axis}SCALE>{scale!r}</{axis}SCALE>" for axis, _, scale in _scalars(rpc)]
+    lines += [f"<{axis}OFFSET>{_digits(off)}</{axis}OFFSET>" for axis, off, _ in _scalars(rpc)]
+    lines += [f"<{axis}SCALE>{_digits(scale)}</{axis}SCALE>" for axis, _, scale in _scalars(rpc)]
     for name, values in _polynomials(rpc):
         tag = name.replace("_", "") + "COEF"
-        lines += [f"<{tag}List>", f"<{tag}>{' '.join(map(repr, values))}</{tag}>", f"</{tag}List>"]
+        lines += [f"<{tag}List>", f"<{tag}>{' '.join(map(_digits, values))}</{tag}>", f"</{tag}List>"]
     return "\n".join(lines + ["</IMAGE>", "</RPB>", "</isd>"]) + "\n"
 
 
@@ -154,7 +159,7 @@ def geom(rpc: Rpc, order: str = "B") -> str:
         "adjustment_0.adj_param_0.sigma:  50",
     ]
     for axis, off, scale in _scalars(rpc):
-        lines += [f"{axis.lower()}_off:  {off!r}", f"{axis.lower()}_scale:  {scale!r}"]
+        lines += [f"{axis.lower()}_off:  {_digits(off)}", f"{axis.lower()}_scale:  {_digits(scale)}"]
     terms = RPC00A if order == "A" else RPC00B
     for name, values in _polynomials(rpc):
         of_term = dict(zip(RPC00B, values))
@@ -182,9 +187,9 @@ def rpcm_json(rpc: Rpc) -> str:
 
 def gdal_json(rpc: Rpc) -> str:
     """GDAL's names with texts for numbers, as S2P's configurations hold them."""
-    record = {f"{axis}_OFF": repr(off) for axis, off, _ in _scalars(rpc)}
-    record.update({f"{axis}_SCALE": repr(scale) for axis, _, scale in _scalars(rpc)})
-    record.update({f"{name}_COEFF": " ".join(map(repr, values)) for name, values in _polynomials(rpc)})
+    record = {f"{axis}_OFF": _digits(off) for axis, off, _ in _scalars(rpc)}
+    record.update({f"{axis}_SCALE": _digits(scale) for axis, _, scale in _scalars(rpc)})
+    record.update({f"{name}_COEFF": " ".join(map(_digits, values)) for name, values in _polynomials(rpc)})
     return json.dumps(record, indent=1)
 
 
