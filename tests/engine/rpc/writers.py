@@ -64,7 +64,7 @@ def rpb(rpc: Rpc) -> str:
     lines += [f"\t{axis[name]}Offset = {_digits(off)};" for name, off, _ in _scalars(rpc)]
     lines += [f"\t{axis[name]}Scale = {_digits(scale)};" for name, _, scale in _scalars(rpc)]
     for name, (_, values) in zip(("lineNumCoef", "lineDenCoef", "sampNumCoef", "sampDenCoef"), _polynomials(rpc)):
-        lines += [f"\t{name} = (", *(f"\t\t\t{_digits(value)}," for value in values[:-1]), f"\t\t\t{values[-1]!r});"]
+        lines += [f"\t{name} = (", *(f"\t\t\t{_digits(value)}," for value in values[:-1]), f"\t\t\t{_digits(values[-1])});"]
     return "\n".join(lines) + "\nEND_GROUP = IMAGE\nEND;\n"
 
 
@@ -97,7 +97,7 @@ def _dimap(rpc: Rpc, first: int, profile: str, version: str, forward: str, back:
     ]
     for axis, off, scale in _scalars(rpc):
         shift = first if axis in ("LINE", "SAMP") else 0
-        lines += [f"<{axis}_SCALE>{_digits(scale)}</{axis}_SCALE>", f"<{axis}_OFF>{off + shift!r}</{axis}_OFF>"]
+        lines += [f"<{axis}_SCALE>{_digits(scale)}</{axis}_SCALE>", f"<{axis}_OFF>{_digits(off + shift)}</{axis}_OFF>"]
     lines += ["</RFM_Validity>", "</Global_RFM>", "</Rational_Function_Model>", "</Dimap_Document>"]
     return "\n".join(lines) + "\n"
 
