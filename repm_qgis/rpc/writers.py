@@ -19,7 +19,8 @@ def rpc_tags(rpc: Rpc) -> Dict[str, str]:
         tags.update(ERR_BIAS=repr(float(rpc.accuracy_m)), ERR_RAND="0.0")
     for member, key in GDAL_KEYS.items():
         value = getattr(rpc, member)
-        tags[key] = " ".join(repr(float(number)) for number in value) if isinstance(value, tuple) else repr(float(value))
+        numbers = value if isinstance(value, tuple) else (value,)
+        tags[key] = " ".join(repr(float(number)) for number in numbers)
     return tags
 
 

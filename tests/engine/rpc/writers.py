@@ -64,7 +64,8 @@ def rpb(rpc: Rpc) -> str:
     lines += [f"\t{axis[name]}Offset = {_digits(off)};" for name, off, _ in _scalars(rpc)]
     lines += [f"\t{axis[name]}Scale = {_digits(scale)};" for name, _, scale in _scalars(rpc)]
     for name, (_, values) in zip(("lineNumCoef", "lineDenCoef", "sampNumCoef", "sampDenCoef"), _polynomials(rpc)):
-        lines += [f"\t{name} = (", *(f"\t\t\t{_digits(value)}," for value in values[:-1]), f"\t\t\t{_digits(values[-1])});"]
+        *first, last = map(_digits, values)
+        lines += [f"\t{name} = (", *(f"\t\t\t{value}," for value in first), f"\t\t\t{last});"]
     return "\n".join(lines) + "\nEND_GROUP = IMAGE\nEND;\n"
 
 
