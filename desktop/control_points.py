@@ -6,7 +6,7 @@ The computation is the engine's (:mod:`repm_qgis.pointing.gcp_measuring`), and l
 from __future__ import annotations
 
 import os
-from typing import Any, Callable, Optional, Sequence
+from typing import TYPE_CHECKING, Callable, Optional, Sequence
 
 import numpy as np
 from qgis.core import (
@@ -55,6 +55,9 @@ from ..processing_provider.values import layer_path, points_path
 from .image_view import ImageView
 from .point_table import PointTable
 
+if TYPE_CHECKING:  # the engine is imported when it is needed
+    from ..repm_qgis.scene import View
+
 _WGS84 = QgsCoordinateReferenceSystem("EPSG:4326")
 _FOLDER = "repm/control_points_folder"
 
@@ -62,7 +65,7 @@ _FOLDER = "repm/control_points_folder"
 class _ViewPanel(QWidget):
     """One image with its name, the result of the click, and its buttons."""
 
-    def __init__(self, view: Any, dock: ControlPointsDock) -> None:
+    def __init__(self, view: View, dock: ControlPointsDock) -> None:
         super().__init__()
         self.name = view.name
         self.image = ImageView(view.image, view.band, view.size, self)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 from qgis.PyQt.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
 
 from ..processing_provider.language import said
+
+if TYPE_CHECKING:  # the engine is imported when it is needed
+    from ..repm_qgis.pointing.gcp_measuring import GcpMeasuring, PointCheck
+    from ..repm_qgis.pointing.ground_control import Gcp
 
 _IMAGES, _OFFSET, _MISS, _CHECK_ONLY = 1, 2, 3, 4
 FIELDS = {0: "id", 5: "height", 6: "lon", 7: "lat"}  # that can be edited, by column
@@ -18,10 +22,10 @@ class PointTable(QAbstractTableModel):
     edited = pyqtSignal(str)  # the point's name after the change
     refused = pyqtSignal(str)
 
-    def __init__(self, measuring: Any, parent: object = None) -> None:
+    def __init__(self, measuring: GcpMeasuring, parent: object = None) -> None:
         super().__init__(parent)
         self._measuring = measuring
-        self._checks: dict[str, object] = {}
+        self._checks: dict[str, PointCheck] = {}
 
     def renew(self) -> None:
         """Points or pixels have changed."""
@@ -29,7 +33,7 @@ class PointTable(QAbstractTableModel):
         self._checks = {}
         self.endResetModel()
 
-    def check(self, row: int) -> Any:
+    def check(self, row: int) -> PointCheck:
         """How well a row's pixels agree, computed once."""
         from ..repm_qgis.pointing.gcp_measuring import check_point
 
@@ -73,7 +77,7 @@ class PointTable(QAbstractTableModel):
             return self._shown(gcp, index.row(), column)
         return None
 
-    def _shown(self, gcp: Any, row: int, column: int) -> str:
+    def _shown(self, gcp: Gcp, row: int, column: int) -> str:
         if column in FIELDS:
             value = getattr(gcp, FIELDS[column])
             return value if isinstance(value, str) else f"{value:.2f}" if FIELDS[column] == "height" else f"{value:.6f}"

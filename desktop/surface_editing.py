@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from datetime import datetime, timezone
-from typing import Any, Callable, Optional
+from typing import TYPE_CHECKING, Callable, Optional
 
 from qgis.core import (
     QgsApplication,
@@ -48,6 +48,9 @@ from ..processing_provider.language import said
 from ..processing_provider.values import layer_path
 from .drawing_tool import BRUSH, LINE, POLYGON, DrawingTool
 
+if TYPE_CHECKING:  # the engine is imported when it is needed
+    from ..repm_qgis.editing.session import DsmEdits
+
 _AUTOMATIC = -12_001.0  # of the value: below all heights
 _BREAKLINE = "breakline"
 
@@ -75,10 +78,10 @@ class SurfaceEditingDock(QgsDockWidget):
         self.setObjectName("RepmSurfaceEditing")
         self.setWindowTitle(self.tr("Edit a DSM"))
         self._iface, self._canvas = iface, iface.mapCanvas()
-        self.records: Any = None
+        self.records: Optional[DsmEdits] = None
         self._layer_id, self._added, self._again = "", False, False
         self._task: Optional[QgsProcessingAlgRunnerTask] = None
-        self._run: Any = None  # what a running task needs: QGIS does not keep it
+        self._run: object = None  # what a running task needs: QGIS does not keep it
         self._tool = DrawingTool(self._canvas)
         self._tool.drawn.connect(self._take)
         kinds = QgsWkbTypes.GeometryType
@@ -196,7 +199,7 @@ class SurfaceEditingDock(QgsDockWidget):
         """A confidence raster of the project with the cells of a DSM."""
         from ..repm_qgis.imagery.confidence import CONFIDENCE_BANDS
 
-        def frame(raster: QgsRasterLayer) -> Any:
+        def frame(raster: QgsRasterLayer) -> object:
             return raster.width(), raster.height(), raster.extent()
 
         for other in QgsProject.instance().mapLayers().values():
@@ -233,13 +236,13 @@ class SurfaceEditingDock(QgsDockWidget):
             return 1
         place = layer.extent().center()
         line = QgsGeometry.fromPolylineXY([place, place.__class__(place.x() + self.width_m.value(), place.y())])
-        self._to_records(line, back=True)
+        self._to_records(line, self.records, back=True)
         return max(1, round(line.length() / self._canvas.mapUnitsPerPixel()))
 
-    def _to_records(self, geometry: QgsGeometry, back: bool = False) -> None:
+    def _to_records(self, geometry: QgsGeometry, records: DsmEdits, back: bool = False) -> None:
         """Transform from the map's CRS to that of the records, or back; raises QgsCsException."""
         crs = QgsCoordinateReferenceSystem()
-        crs.createFromUserInput(self.records.crs)
+        crs.createFromUserInput(records.crs)
         map_crs = self._canvas.mapSettings().destinationCrs()
         ends = (crs, map_crs) if back else (map_crs, crs)
         geometry.transform(QgsCoordinateTransform(*ends, QgsProject.instance()))
@@ -268,12 +271,13 @@ class SurfaceEditingDock(QgsDockWidget):
 
     def _take(self, geometry: QgsGeometry) -> None:
         """A shape is finished: it becomes a record, and the DSM is made again."""
-        if self.records is None:
+        records = self.records
+        if records is None:
             self._say(self.tr("Choose the DSM that is to be edited."))
             return
         name = self.operation.currentData()
         try:
-            self._to_records(geometry)
+            self._to_records(geometry, records)
         except QgsCsException as error:
             self._say(str(error))
             return
@@ -284,7 +288,7 @@ class SurfaceEditingDock(QgsDockWidget):
         value = self.value.value() if name in ("set", "flatten") else None
         value = None if value is not None and value <= _AUTOMATIC else value
         made = datetime.now(timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
-        self._added = self._tried(lambda: self.records.add(name, geometry.asWkt(9), value, width, made))
+        self._added = self._tried(lambda: records.add(name, geometry.asWkt(9), value, width, made))
         if self._added:
             self._changed()
 
@@ -296,8 +300,9 @@ class SurfaceEditingDock(QgsDockWidget):
             self._changed()
 
     def _ticked(self, item: QListWidgetItem) -> None:
-        number, on = item.data(Qt.ItemDataRole.UserRole), item.checkState() == Qt.CheckState.Checked
-        if self._tried(lambda: self.records.enable(number, on)):
+        records, number = self.records, item.data(Qt.ItemDataRole.UserRole)
+        on = item.checkState() == Qt.CheckState.Checked
+        if records is not None and self._tried(lambda: records.enable(number, on)):
             self._changed()
 
     def _changed(self) -> None:
@@ -309,27 +314,30 @@ class SurfaceEditingDock(QgsDockWidget):
         if self._task is not None:
             self._again = True
             return
+        records = self.records
+        if records is None:
+            return
         from ..repm_qgis.runtime.workspace import temporary_name
 
         made: dict[str, str] = {}
-        if not self._tried(lambda: made.update(OUTPUT=temporary_name(self.records.edited))):
+        if not self._tried(lambda: made.update(OUTPUT=temporary_name(records.edited))):
             return
-        given = {"DSM": self.records.dsm, "EDITS": self.records.path, **made}
+        given = {"DSM": records.dsm, "EDITS": records.path, **made}
         stated = self.confidence.currentLayer()
         if stated is not None:
-            if not self._tried(lambda: made.update(EDITED_CONFIDENCE=temporary_name(self.records.edited_confidence))):
+            if not self._tried(lambda: made.update(EDITED_CONFIDENCE=temporary_name(records.edited_confidence))):
                 return
             given.update(CONFIDENCE=layer_path(stated), **made)
         algorithm = QgsApplication.processingRegistry().algorithmById("repm:editdsm")
         context, feedback = QgsProcessingContext(), _Feedback()
         task = QgsProcessingAlgRunnerTask(algorithm, given, context, feedback)
-        self._run = records, _, _ = self.records, context, feedback
+        self._run = records, context, feedback
         task.executed.connect(lambda well, _: self._made(well, records, made, feedback))
         self._task = task
         self._say(self.tr("Making the edited DSM…"))
         QgsApplication.taskManager().addTask(task)
 
-    def _made(self, well: bool, records: Any, made: dict[str, str], feedback: _Feedback) -> None:
+    def _made(self, well: bool, records: DsmEdits, made: dict[str, str], feedback: _Feedback) -> None:
         from ..repm_qgis.runtime.workspace import remove_temporary
 
         self._task = self._run = None
@@ -352,7 +360,7 @@ class SurfaceEditingDock(QgsDockWidget):
             self._again = False
             self._make()
 
-    def _put(self, temporary: str, path: str, records: Any) -> bool:
+    def _put(self, temporary: str, path: str, records: DsmEdits) -> bool:
         """Give a raster its name, and show it: layers close the older file first, because Windows requires it."""
         from ..repm_qgis.runtime.workspace import take_name
 
@@ -378,7 +386,7 @@ class SurfaceEditingDock(QgsDockWidget):
         self._canvas.refresh()
         return well
 
-    def _load(self, path: str, records: Any) -> None:
+    def _load(self, path: str, records: DsmEdits) -> None:
         """Show a new raster above the one that it was made of, in its style."""
         project, is_dsm = QgsProject.instance(), path == records.edited
         source = project.mapLayer(self._layer_id) if is_dsm else self.confidence.currentLayer()
@@ -422,7 +430,7 @@ class SurfaceEditingDock(QgsDockWidget):
         self.undo_button.setEnabled(bool(edits))
         for button in self.buttons.values():
             button.setEnabled(self.records is not None)
-        self._show_on_map(edits)
+        self._show_on_map()
         if text or self.records is None:
             self._say(text)
         elif not edits:
@@ -431,16 +439,18 @@ class SurfaceEditingDock(QgsDockWidget):
             file = os.path.basename(self.records.edited)
             self._say(self.tr("Edits in {file}: {count}.").format(count=len(edits), file=file))
 
-    def _show_on_map(self, edits: Any) -> None:
-        kinds = QgsWkbTypes.GeometryType
+    def _show_on_map(self) -> None:
+        records, kinds = self.records, QgsWkbTypes.GeometryType
         for band, kind in zip(self._bands, (kinds.PolygonGeometry, kinds.LineGeometry)):
             band.reset(kind)
-        for edit in edits if self.isVisible() or self._canvas.isVisible() else ():
+        if records is None or not (self.isVisible() or self._canvas.isVisible()):
+            return
+        for edit in records.edits:
             geometry = QgsGeometry()
             geometry.fromWkb(edit.geometry)
             if edit.enabled:
                 try:
-                    self._to_records(geometry, back=True)
+                    self._to_records(geometry, records, back=True)
                 except QgsCsException:
                     continue
                 area = geometry.type() == kinds.PolygonGeometry

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Mapping
+from typing import Mapping
 
 from qgis.core import (
     QgsProcessingContext,
@@ -37,7 +37,7 @@ class ShippedModel(QgsProcessingModelAlgorithm):
         # Read once: for a model that is read twice QGIS logs that each output exists already.
         return bool(self.loadVariant(_in_language(QgsXmlUtils.readVariant(document.firstChildElement()))))
 
-    def createCustomParametersWidget(self, parent: Any = None) -> Any:
+    def createCustomParametersWidget(self, parent: object = None) -> object:
         return RepmAlgorithm.createCustomParametersWidget(self, parent)
 
     def createInstance(self) -> ShippedModel:
@@ -91,8 +91,8 @@ class MapModel(ShippedModel):
         return self.tr("Make map layers of a DSM (model)")
 
     def processAlgorithm(
-        self, parameters: Mapping[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
-    ) -> dict[str, Any]:
+        self, parameters: Mapping[str, object], context: QgsProcessingContext, feedback: QgsProcessingFeedback
+    ) -> dict[str, object]:
         results = super().processAlgorithm(parameters, context, feedback)
         dsm = self.parameterAsRasterLayer(parameters, "DSM", context)
         run = styles.Run(surface_name(dsm.source()) if dsm is not None else "")
@@ -106,7 +106,7 @@ class MapModel(ShippedModel):
 MODELS = (StagesModel, MapModel)
 
 
-def _in_language(value: Any, key: str = "") -> Any:
+def _in_language(value: object, key: str = "") -> object:
     """A model's description with the texts in it that people read in QGIS's language."""
     if isinstance(value, dict):
         return {name: _in_language(inner, name) for name, inner in value.items()}

@@ -12,12 +12,12 @@ Evans, Kirkpatrick and Townsend, Right-triangulated irregular networks, Algorith
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, List
+from typing import List
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..contracts.arrays import FloatImage, Mask
+from ..contracts.arrays import AnyArray, FloatImage, Mask
 from ..runtime.progress import Progress
 from .lattice import TRIANGLES, square_triangles
 
@@ -155,18 +155,18 @@ class _Surface:
         return sums
 
 
-def _corners(values: NDArray[Any], side: int) -> List[NDArray[Any]]:
+def _corners(values: AnyArray, side: int) -> List[AnyArray]:
     """Corners of all squares of a side: upper left, upper right, lower left, lower right."""
     grid = values[::side, ::side]
     return [grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]]
 
 
-def _spread(values: NDArray[Any], side: int) -> NDArray[Any]:
+def _spread(values: AnyArray, side: int) -> AnyArray:
     """Each square's value in all of its cells."""
     return np.repeat(np.repeat(values, side, axis=0), side, axis=1)
 
 
-def _summed(values: NDArray[Any], side: int, kind: type) -> NDArray[Any]:
+def _summed(values: AnyArray, side: int, kind: type) -> AnyArray:
     """Sums over the cells of each square."""
     rows = np.add.reduceat(values, np.arange(0, values.shape[0], side), axis=0, dtype=kind)
     return np.add.reduceat(rows, np.arange(0, values.shape[1], side), axis=1)

@@ -19,12 +19,13 @@ import json
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Dict, List, Optional, Tuple
 
 import numpy as np
 from osgeo import gdal
 
 from ..contracts.arrays import ByteImage, FloatArray, FloatImage, IntArray, Window
+from ..contracts.documents import JsonObject
 from ..contracts.errors import EmptyResultError, WorkspaceError
 from ..evaluation.grids import Grid, cell_sides, require_place
 from ..geometry.frames import EnuFrame, flat_crs, geodetic_from_projected, on_earth
@@ -63,7 +64,7 @@ class _Tile:
     error: float
     low: FloatArray
     high: FloatArray
-    entry: Dict[str, Any]
+    entry: JsonObject
 
 
 def require_tiles3d_place(path: str) -> None:
@@ -189,7 +190,7 @@ class _Tree:
         if picture is None or self.paint is None:
             picture = _shaded(heights, cell)
         ends = [end for part in below for end in (part.low, part.high)]
-        entry: Dict[str, Any] = {}
+        entry: JsonObject = {}
         if len(kept.triangles):  # else only islands of a few cells are below it
             xyz = self._written(place, heights, kept, picture)
             ends += [xyz.min(axis=0), xyz.max(axis=0)]

@@ -7,7 +7,7 @@ import os
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Dict, Iterator, List, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
@@ -405,7 +405,7 @@ def _write_products(scene: Scene, figures: RegistrationFigures, options: Registe
         registration_page(scene, figures).of(scene_title(scene, options.output_scene)).write(options.report)
 
 
-def _arrows(figures: RegistrationFigures) -> Any:
+def _arrows(figures: RegistrationFigures) -> Iterator[Tuple[ogr.Geometry, Tuple[float, ...]]]:
     for number, offset in enumerate(figures.offsets, start=1):
         point = ogr.Geometry(ogr.wkbPoint)
         point.AddPoint_2D(offset.x, offset.y)

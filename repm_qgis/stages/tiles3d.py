@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import os
-from typing import Any, Dict
 
+from ..contracts.documents import JsonObject
 from ..contracts.options import Tiles3dOptions
 from ..runtime.parallel import run_whole
 from ..runtime.progress import Progress, counted
 from ..solids.tiles3d import write_tiles3d
 
 
-def run(options: Tiles3dOptions, progress: Progress) -> Dict[str, Any]:
+def run(options: Tiles3dOptions, progress: Progress) -> JsonObject:
     """Write the tileset; gives its folder, and how many tiles, vertices and triangles it has.
 
     Raises ImageError, EmptyResultError, MissingPackageError, WorkspaceError.
     """
-    result: Dict[str, Any] = run_whole(_written, options, progress, "writing 3-D Tiles")
+    result: JsonObject = run_whole(_written, options, progress, "writing 3-D Tiles")
     progress.step(1.0, "tileset written")
     return result
 
 
-def _written(options: Tiles3dOptions, progress: Progress) -> Dict[str, Any]:
+def _written(options: Tiles3dOptions, progress: Progress) -> JsonObject:
     made = write_tiles3d(options.dsm, options.tiles3d, options.ortho, progress=progress)
     tiles = counted(made.tiles, "tile")
     progress.info(
