@@ -124,9 +124,21 @@ def gpus() -> list[Gpu]:
         return []
 
 
-def _built_with_cuda() -> bool:
-    found = importlib.util.find_spec("pycolmap") is not None
-    return found and fresh_answer("import pycolmap; print(bool(pycolmap.has_cuda))") == "True"
+_HAS_CUDA = """
+try:
+    import pycolmap
+    print(bool(pycolmap.has_cuda))
+except Exception as error:
+    print(error.__cause__ or error)
+"""
+
+
+def _built_with_cuda() -> tuple[bool, str]:
+    """Whether pycolmap is made with CUDA; and why it cannot be imported although it is installed, else ""."""
+    if importlib.util.find_spec("pycolmap") is None:
+        return False, ""
+    answer = fresh_answer(_HAS_CUDA)
+    return answer == "True", "" if answer in ("True", "False", "") else " ".join(answer.split())[:200]
 
 
 def cuda() -> JsonObject:
@@ -135,13 +147,16 @@ def cuda() -> JsonObject:
     ``built`` (pycolmap was made with it), ``devices`` that answer, ``usable`` (both), and ``remedy``: what to do where
     it is not usable, else "".
     """
-    built, devices = _built_with_cuda(), [str(gpu) for gpu in gpus()]
-    usable, remedy = bool(built and devices), cuda_remedy(built, bool(devices))
+    (built, fault), devices = _built_with_cuda(), [str(gpu) for gpu in gpus()]
+    usable, remedy = bool(built and devices), cuda_remedy(built, bool(devices), fault)
     return {"built": built, "devices": devices, "usable": usable, "remedy": remedy}
 
 
-def cuda_remedy(built: bool, device: bool) -> str:
-    """How to make CUDA usable here; "" where it is."""
+def cuda_remedy(built: bool, device: bool, fault: str = "") -> str:
+    """How to make CUDA usable here; "" where it is. ``fault`` is why the installed pycolmap cannot be imported."""
+    if fault:
+        libraries = "on a server without a desktop, install the libraries of X (libx11-6 libxext6 libsm6 libice6)"
+        return f"the installed pycolmap cannot be imported ({fault}): install it again; {libraries}"
     numpy = version_of(PACKAGES[0])
     keep = f' "numpy=={numpy}"' if numpy else ""  # named, so that pip can never replace QGIS's own
     pip = f'"{sys.executable}" -m pip' if " " in sys.executable else f"{sys.executable} -m pip"
@@ -157,7 +172,7 @@ def cuda_remedy(built: bool, device: bool) -> str:
 
 def cuda_usable() -> bool:
     """Whether a CUDA device answers and pycolmap is made for it, which is asked only then."""
-    return bool(gpus()) and _built_with_cuda()
+    return bool(gpus()) and _built_with_cuda()[0]
 
 
 def memory() -> dict[str, Optional[int]]:
@@ -183,7 +198,7 @@ def required_pycolmap(use: str, instead: str) -> ModuleType:
     """
     try:
         import pycolmap
-    except ImportError as error:
+    except (ImportError, RuntimeError) as error:  # pycolmap's own where a library of the system is missing
         raise MissingPackageError(
             f"{use} the Python package 'pycolmap', which is not installed ({error}): {INSTALL_REMEDY}, or {instead}."
         ) from error

@@ -62,6 +62,21 @@ def test_the_remedy_for_cuda_is_no_pip_in_qgis_own_python(in_an_environment, mon
     assert INSTALL_REMEDY in remedy and "pip" not in remedy
 
 
+def test_a_pycolmap_that_lacks_a_library_of_the_system_says_which(tmp_path, monkeypatch):
+    """The wheel with CUDA needs libraries of X, which servers lack; its error has the reason as its cause."""
+    (tmp_path / "pycolmap.py").write_text(
+        "try:\n    raise ImportError('libSM.so.6: cannot open shared object file')\n"
+        "except ImportError as error:\n    raise RuntimeError('Cannot import the backend.') from error\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "pycolmap", raising=False)
+    found = environment.cuda()
+    assert not found["usable"] and "cannot be imported (libSM.so.6: cannot open" in found["remedy"]
+    with pytest.raises(MissingPackageError, match="choose rpc"):
+        environment.required_pycolmap("ADJUSTMENT colmap needs", "choose rpc")
+
+
 def test_a_module_that_is_not_there_has_no_version():
     assert version_of(Package("surely_no_such_module", "x", "", "")) is None
     assert version_of(PACKAGES[0]) is not None
