@@ -118,6 +118,7 @@ def opened(path: str, overviews: bool = True) -> Iterator[gdal.Dataset]:
     try:
         if dataset.RasterCount < 1:
             raise ImageError(f"'{path}' has no raster band: choose the image itself, not a container.")
+        _attempt(dataset.GetProjection)  # GDAL reads what lies beside it; GDAL 3.13 raises an error of damaged XML
         with quiet():
             _require(path, claimed(dataset))
         yield dataset
