@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import pathlib
 import re
 from types import SimpleNamespace
@@ -186,3 +187,40 @@ def test_the_site_lists_every_document_and_german_pages_have_german_titles():
     assert sorted(listed(config.nav)) == sorted([*documents, *added])
     assert added["de/algorithms/comparedsm.md"].startswith("# DOM mit einer Referenz vergleichen\n")
     assert "](compatibility.md)" in added["changelog.md"] and "](docs/" not in "".join(added.values())
+
+
+def parts_of(message: str) -> list[str]:
+    """The pieces of a message between what a run fills in: "...", numbers, words in capitals, what is quoted."""
+    open_parts = re.sub(
+        r"\{\d+\}|\.\.\.|'[^' ]*'|„[^“ ]*“|\b[A-Z_]{3,}\b|\d+(?:\.\d+)?|; (?:or|oder): |[()]|: ", "…", message
+    )
+    pieces = (re.sub(r"^(?:it|der Wert) ", "", piece.strip()) for piece in open_parts.split("…"))
+    return [piece for piece in pieces if len(piece.split()) > 1]
+
+
+def unknown_messages(page: pathlib.Path, texts: list[str]) -> list[str]:
+    """What the last table of a guide calls a message, and no text of the engine has, as a whole or in two parts."""
+    known = "\n".join(" … ".join(parts_of(text)) for text in texts)
+    table = page.read_text(encoding="utf-8").rpartition("|---|---|\n")[2].partition("\n\n")[0]
+    unknown = []
+    for row in table.splitlines():
+        for piece in parts_of(row.split(" | ")[0].lstrip("| ")):
+            words = piece.split()
+            cuts = ((" ".join(words[:at]), " ".join(words[at:])) for at in range(1, len(words)))
+            if piece not in known and not any(first in known and last in known for first, last in cuts):
+                unknown.append(piece)
+    return unknown
+
+
+@pytest.mark.parametrize("language", ("en", "de"))
+def test_messages_in_the_guides_are_those_of_the_engine(language):
+    """A reader looks for the words of the log."""
+    catalogue = json.loads((ROOT / "i18n" / "engine_de.json").read_text(encoding="utf-8"))
+    page = ROOT / "docs" / ("de" if language == "de" else "") / "guide.md"
+    assert unknown_messages(page, list(catalogue.values() if language == "de" else catalogue)) == []
+
+
+def test_a_message_that_nothing_says_is_noticed(tmp_path):
+    page = tmp_path / "guide.md"
+    page.write_text("|---|---|\n| No RPC found for ... | find it |\n| too few tie points | more |\n\nEnd")
+    assert unknown_messages(page, ["No RPC found for '{0}'. {1}"]) == ["too few tie points"]

@@ -16,6 +16,7 @@ from .progress import Progress
 
 _SHARE = 0.75  # of what is free, where no budget is given
 _MIB = 1024.0 * 1024.0
+_SMALLEST_TILE_PX = 256  # of TILE_SIZE
 
 
 def free_mib() -> Optional[float]:
@@ -81,11 +82,14 @@ class Work:
 
 def tile_work(tile_px: int, mib: float) -> Work:
     """A tile of so many px a side, which may be made smaller."""
-    return Work(
-        f"one tile of {tile_px} px",
-        mib,
-        lambda room: f"choose a TILE_SIZE of {largest_tile(tile_px, mib, room)} px or less",
-    )
+
+    def remedy(room_mib: float) -> str:
+        side = largest_tile(tile_px, mib, room_mib)
+        if side:
+            return f"choose a TILE_SIZE of {side} px or less"
+        return "use a machine with more memory, as no tile is small enough"
+
+    return Work(f"one tile of {tile_px} px", mib, remedy)
 
 
 def workers_within(workers: int, work: Work, budget_mib: int, progress: Progress) -> int:
@@ -200,6 +204,7 @@ def colouring_mib(cells: int, views: int, bands: int) -> float:
 
 
 def largest_tile(tile_px: int, each_mib: float, budget_mib: float) -> int:
-    """The side of the largest tile that fits, px, in whole tens; not less than the smallest that can be set."""
+    """The side of the largest tile that fits, px, in whole tens; 0 where not even the smallest that can be set does."""
     room = max(budget_mib - _PROCESS_MIB, 0.0) / max(each_mib - _PROCESS_MIB, 1.0)
-    return max(256, int(0.95 * tile_px * room**0.5) // 10 * 10)
+    side = int(0.95 * tile_px * room**0.5) // 10 * 10
+    return side if side >= _SMALLEST_TILE_PX else 0

@@ -257,6 +257,13 @@ def test_a_tile_that_is_too_large_names_the_remedy(told):
     assert matching_mib(side, side, 0) < 200.0
 
 
+@pytest.mark.parametrize("allowed", (100, 126))
+def test_no_tile_is_named_where_none_is_small_enough(told, allowed):
+    """A worker alone takes as much: TILE_SIZE=256, the smallest, would end with the same error."""
+    with pytest.raises(OptionError, match="allow more, or use a machine with more memory, as no tile is small enough"):
+        workers_within(2, tile_work(600, 160.0), allowed, told())
+
+
 def test_without_a_budget_free_memory_decides(told, monkeypatch):
     said = told()
     monkeypatch.setattr(memory, "free_mib", lambda: 1000.0)
