@@ -572,6 +572,11 @@ class CompareDsmOptions(Options):
         super().__post_init__()
         if not all(self.others):
             raise OptionError("OTHERS", self.others, "must be a list of rasters or clouds")
+        for name, path in (("DSM", self.dsm), *(("OTHERS", other) for other in self.others)):
+            if real_path(path) == real_path(self.reference):
+                raise OptionError(
+                    "REFERENCE", path, f"is the same file as {name}: a surface has no errors against itself"
+                )
         if not self.thresholds or any(Number(1e-6, 10000).problem(height) for height in self.thresholds):
             raise OptionError("THRESHOLDS", self.thresholds, "must be heights in metres up to 10000, such as 1; 2.5; 5")
 

@@ -367,8 +367,9 @@ def test_light_stages_run_in_threads_of_pythons(plugin, sample, tmp_path, ears, 
 
     monkeypatch.setattr(stages, "run_stage", spied)
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:comparedsm")
+    dsm = shutil.copy(sample["truth"], tmp_path / "dsm.tif")
     for number in range(3):
-        given = {"DSM": sample["truth"], "REFERENCE": sample["truth"], "ERROR": str(tmp_path / f"{number}.tif")}
+        given = {"DSM": str(dsm), "REFERENCE": sample["truth"], "ERROR": str(tmp_path / f"{number}.tif")}
         context, feedback, ended = QgsProcessingContext(), ears(), []
         task = QgsProcessingAlgRunnerTask(algorithm, {**given, "REPORT": ""}, context, feedback)
         task.executed.connect(lambda well, _, ended=ended: ended.append(well))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import types
 
 import laspy
@@ -300,9 +301,10 @@ def test_without_a_project_or_a_provider_nothing_is_loaded(plugin, feedback, mon
 
 
 def test_height_errors_are_styled_about_zero(load, sample, tmp_path):
+    dsm = shutil.copy(sample["truth"], tmp_path / "dsm.tif")
     results, layers = load(
         "comparedsm",
-        {"DSM": sample["truth"], "REFERENCE": sample["truth"], "REPORT": ""},
+        {"DSM": str(dsm), "REFERENCE": sample["truth"], "REPORT": ""},
         {"ERROR": tmp_path / "e.tif"},
     )
     layer = layers["ERROR"]

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,7 +13,7 @@ from osgeo import gdal
 from pyproj import Transformer
 from pyproj.transformer import TransformerGroup
 
-from repm_qgis.contracts.errors import Cancelled, EmptyResultError, ImageError, OverlapError
+from repm_qgis.contracts.errors import Cancelled, EmptyResultError, ImageError, OptionError, OverlapError
 from repm_qgis.evaluation.comparison import compare as compare_rasters
 from repm_qgis.evaluation.grids import Grid, metres_per_unit
 from repm_qgis.evaluation.parameters import EVALUATION
@@ -206,7 +207,7 @@ def test_agrees_with_the_scoring_tool_on_real_dsms(shared_data, make_raster, sit
     assert np.isfinite(z).sum() == pytest.approx(got["cells"] / got["valid"] * 100)
     assert 98 < got["valid"] <= want["valid"] + 0.01
     assert want["C1"] - 3 < got["completeness"] <= want["C1"] + 0.01
-    same = compare(str(path), str(path))
+    same = compare(str(shutil.copy(path, Path(dsm).with_name("same.tif"))), str(path))
     assert same["rmse"] == 0 and same["valid"] == pytest.approx(100)
 
 
@@ -343,10 +344,23 @@ def test_cancel_leaves_nothing(make_raster, tmp_path, terrain):
         def check_cancelled(self):
             raise Cancelled
 
-    a = make_raster("dsm.tif", terrain(50, 50))
+    a, b = make_raster("dsm.tif", terrain(50, 50)), make_raster("reference.tif", terrain(50, 50))
     with pytest.raises(Cancelled):
-        compare(a, a, Stop(), error=str(tmp_path / "e.tif"), report=str(tmp_path / "r.html"))
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["dsm.tif"]
+        compare(a, b, Stop(), error=str(tmp_path / "e.tif"), report=str(tmp_path / "r.html"))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["dsm.tif", "reference.tif"]
+
+
+def test_a_surface_is_not_compared_with_itself(make_raster, tmp_path, terrain):
+    """QGIS proposes the first layer for each input; the report would find no errors."""
+    a, b = make_raster("dsm.tif", terrain(50, 50)), make_raster("other.tif", terrain(50, 50))
+    (tmp_path / "below").mkdir()
+    for reference, others, words in (
+        (str(tmp_path / "below" / ".." / "dsm.tif"), [], "is the same file as DSM"),
+        (b, [b], "is the same file as OTHERS"),
+    ):
+        with pytest.raises(OptionError, match=words):
+            compare(a, reference, others=others, report=str(tmp_path / "r.html"))
+    assert not (tmp_path / "r.html").exists()
 
 
 def test_blocks_do_not_show(make_raster, terrain):
@@ -393,12 +407,12 @@ def test_classes_have_their_names_and_are_few(make_raster, terrain, tmp_path):
     dataset = gdal.Open(path, gdal.GA_Update)
     dataset.GetRasterBand(1).SetCategoryNames(["", "roofs", "ground"])
     dataset = None  # noqa: F841
-    a = make_raster("dsm.tif", terrain(100, 100))
-    got = compare(a, a, classes=path, report=str(tmp_path / "r.html"))
+    a, b = make_raster("dsm.tif", terrain(100, 100)), make_raster("reference.tif", terrain(100, 100))
+    got = compare(a, b, classes=path, report=str(tmp_path / "r.html"))
     assert list(got["by_class"]) == ["roofs", "ground"] and got["by_class"]["roofs"]["cells"] == 5000
     assert "roofs" in (tmp_path / "r.html").read_text(encoding="utf-8")
     with pytest.raises(ImageError, match=r"noclass.tif.*whole numbers"):
-        compare(a, a, classes=make_raster("noclass.tif", terrain(100, 100)))
+        compare(a, b, classes=make_raster("noclass.tif", terrain(100, 100)))
 
 
 def test_several_dsms_in_one_table(make_raster, terrain, tmp_path):
@@ -461,12 +475,12 @@ def test_profiles_follow_lines_of_another_crs(make_raster, terrain, surface, tmp
 def test_what_is_no_line_layer_is_named(make_raster, terrain, tmp_path):
     from repm_qgis.contracts.errors import InputTableError
 
-    a = make_raster("dsm.tif", terrain(60, 60))
+    a, b = make_raster("dsm.tif", terrain(60, 60)), make_raster("reference.tif", terrain(60, 60))
     with pytest.raises(InputTableError, match="none.gpkg"):
-        compare(a, a, profiles=str(tmp_path / "none.gpkg"))
+        compare(a, b, profiles=str(tmp_path / "none.gpkg"))
     (tmp_path / "empty.geojson").write_text('{"type":"FeatureCollection","features":[]}')
     with pytest.raises(InputTableError, match="empty.geojson.*no line"):
-        compare(a, a, profiles=str(tmp_path / "empty.geojson"))
+        compare(a, b, profiles=str(tmp_path / "empty.geojson"))
 
 
 def test_a_reference_of_90_m_covers_a_dsm_with_many_holes_and_that_is_said(make_raster):
