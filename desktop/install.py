@@ -24,7 +24,7 @@ from qgis.PyQt.QtWidgets import (
     QVBoxLayout,
 )
 
-from ..processing_provider import installation
+from ..processing_provider import installation, settings
 from ..processing_provider.language import said as said_here
 
 OFFERED = "repm/install_offered"
@@ -109,6 +109,25 @@ class _Task(QgsTask):
         self._done("" if successful else self._error or _tr("The installation was cancelled."))
 
 
+def _introduction() -> str:
+    """What the dialog begins with: whether something has to be done."""
+    chosen = settings.engine_python()
+    if chosen:
+        return _tr(
+            "You have chosen {python} as the engine's interpreter; its packages are not checked here. To use the "
+            "packages of this dialog, clear it in Settings > Options > Processing > Providers > REPM (or the variable "
+            "REPM_ENGINE_PYTHON)."
+        ).format(python=chosen)
+    return {
+        installation.FINE: _tr("The engine has all packages that it needs. Nothing has to be done."),
+        installation.MISSING: _tr(
+            "REPM's engine needs these packages, which QGIS does not ship. They get an environment of their "
+            "own in your profile: QGIS itself is not changed, and an update of REPM finds them again."
+        ),
+        installation.EARLIER: _tr("This version of REPM needs other packages than the earlier one: install again."),
+    }[installation.state()]
+
+
 class InstallDialog(QDialog):
     """Makes or renews the engine's environment in the profile, or removes it."""
 
@@ -176,18 +195,7 @@ class InstallDialog(QDialog):
 
     def _plan(self) -> None:
         """Show the size of an installation, as the fields are now."""
-        self.intro.setText(
-            {
-                installation.FINE: _tr("The engine has all packages that it needs. Nothing has to be done."),
-                installation.MISSING: _tr(
-                    "REPM's engine needs these packages, which QGIS does not ship. They get an environment of their "
-                    "own in your profile: QGIS itself is not changed, and an update of REPM finds them again."
-                ),
-                installation.EARLIER: _tr(
-                    "This version of REPM needs other packages than the earlier one: install again."
-                ),
-            }[installation.state()]
-        )
+        self.intro.setText(_introduction())
         self.packages.clear()
         try:
             plan = installation.plan(self.wheels.filePath())

@@ -1229,6 +1229,22 @@
         <translation>Die Installation wurde abgebrochen.</translation>
     </message>
     <message>
+        <source>You have chosen {python} as the engine's interpreter; its packages are not checked here. To use the packages of this dialog, clear it in Settings &gt; Options &gt; Processing &gt; Providers &gt; REPM (or the variable REPM_ENGINE_PYTHON).</source>
+        <translation>Sie haben {python} als Interpreter der Engine gewählt; seine Pakete werden hier nicht geprüft. Um die Pakete dieses Dialogs zu verwenden, leeren Sie ihn unter Einstellungen &gt; Optionen &gt; Verarbeitung &gt; Datenanbieter &gt; REPM (oder in der Variablen REPM_ENGINE_PYTHON).</translation>
+    </message>
+    <message>
+        <source>The engine has all packages that it needs. Nothing has to be done.</source>
+        <translation>Die Engine hat alle Pakete, die sie braucht. Es ist nichts zu tun.</translation>
+    </message>
+    <message>
+        <source>REPM's engine needs these packages, which QGIS does not ship. They get an environment of their own in your profile: QGIS itself is not changed, and an update of REPM finds them again.</source>
+        <translation>Die Engine von REPM braucht diese Pakete, die QGIS nicht mitliefert. Sie bekommen eine eigene Umgebung in Ihrem Profil: QGIS selbst wird nicht verändert, und eine neue Version von REPM findet sie wieder.</translation>
+    </message>
+    <message>
+        <source>This version of REPM needs other packages than the earlier one: install again.</source>
+        <translation>Diese Version von REPM braucht andere Pakete als die vorige: bitte neu installieren.</translation>
+    </message>
+    <message>
         <source>REPM: install the engine's packages</source>
         <translation>REPM: Pakete der Engine installieren</translation>
     </message>
@@ -1279,18 +1295,6 @@
     <message>
         <source>Close</source>
         <translation>Schließen</translation>
-    </message>
-    <message>
-        <source>The engine has all packages that it needs. Nothing has to be done.</source>
-        <translation>Die Engine hat alle Pakete, die sie braucht. Es ist nichts zu tun.</translation>
-    </message>
-    <message>
-        <source>REPM's engine needs these packages, which QGIS does not ship. They get an environment of their own in your profile: QGIS itself is not changed, and an update of REPM finds them again.</source>
-        <translation>Die Engine von REPM braucht diese Pakete, die QGIS nicht mitliefert. Sie bekommen eine eigene Umgebung in Ihrem Profil: QGIS selbst wird nicht verändert, und eine neue Version von REPM findet sie wieder.</translation>
-    </message>
-    <message>
-        <source>This version of REPM needs other packages than the earlier one: install again.</source>
-        <translation>Diese Version von REPM braucht andere Pakete als die vorige: bitte neu installieren.</translation>
     </message>
     <message>
         <source>To download: about {download:.0f} MB. On the disk: about {disk:.0f} MB in {folder} ({free} MB are free there). Python: {python}</source>

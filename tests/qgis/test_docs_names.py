@@ -60,6 +60,7 @@ LATER = {
     "&3D Map Views": (32400, "MainWindow", "&3D-Kartenansichten"),
     "Draw on Map Canvas": (34000, "QgsExtentWidget", "Auf Karte zeichnen"),
     "Elevation Profile": (32600, "MainWindow", "Geländehöhenprofil"),
+    "Capture Curve": (32600, "QgsElevationProfileWidget", "Kurve aufnehmen"),
 }
 # German words that differ between versions of QGIS: a page may have any of them.
 OF_VERSIONS = {"Run": {"Starten", "Starte"}}

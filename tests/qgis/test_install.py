@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from types import SimpleNamespace
 
 import pytest
 
@@ -140,3 +141,19 @@ def test_from_the_zip_to_a_dsm_in_seven_clicks(desktop_start, tmp_path):
     found = desktop_start("drive_first_hour.py", plan, seconds=600, settings="", engine=None)
     assert found["success"] and len(found["clicks"]) <= 7, found["clicks"]
     assert any(name.startswith("DSM sample town") for name in found["layers"])
+
+
+def test_the_dialog_does_not_vouch_for_an_interpreter_that_the_user_chose(plugin, monkeypatch):
+    """A run with one that lacks packages sends its user here, and an installation would not change what it uses."""
+    from repm.desktop.install import InstallDialog
+
+    said = []
+    for chosen in ("/opt/mine/python", ""):
+        monkeypatch.setenv("REPM_ENGINE_PYTHON", chosen)
+        dialog = InstallDialog(SimpleNamespace(mainWindow=lambda: None))
+        dialog.show()
+        said.append(dialog.intro.text())
+        dialog.close()
+    assert "You have chosen /opt/mine/python" in said[0] and "clear it in Settings" in said[0]
+    assert "Nothing has to be done" not in said[0]
+    assert "chosen" not in said[1]
