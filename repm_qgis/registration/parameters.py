@@ -75,6 +75,7 @@ class RegistrationParameters(Parameters):
     least_contradiction_m: float = 0.1
     dem_cells: int = 250_000  # coarse cells of a DSM that is compared with the user's DEM, about
     relief_m: float = 5.0  # NMAD of a reference's heights: with less, noise and roofs may have any correlation. Chosen
+    level: Tuple[float, float] = (0.05, 0.95)  # quantiles of a reference's heights, between which its relief is. Chosen
     least_alike: float = 0.5  # rank correlation of a surface with a reference; sound ones have 0.99. Chosen
     most_scaled: float = 1.5  # times as high, or as low; feet are 3.3. Chosen
     dem_m: float = 2.4  # standard deviation of a DEM's own height: LE90 4 m of Copernicus DEM (Airbus, handbook, 2020)

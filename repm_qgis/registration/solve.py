@@ -101,7 +101,7 @@ def solve_shift(
     coarse = max(parameters.trusted_widths * max(reference.width_m), parameters.trusted_m)
     most = min(parameters.undetermined * prior.horizontal_m, coarse)
     horizontal, directions = np.linalg.eigh(found[1][:2, :2])
-    good = horizontal <= most**2
+    good = (horizontal <= most**2) & (not _is_level(xyz[:, 2], found[0], parameters))
     free = directions[:, good].T
     if not good.all():  # undetermined directions stay as they were
         found = problem.back(found, free, tilted)
@@ -123,6 +123,14 @@ def solve_shift(
         offsets=tuple(problem.local_offsets(solution, free, correlation)),
         other_relief=_other_relief(xyz[seen, 2] - solution.residual[seen], xyz[seen, 2], parameters),
     )
+
+
+def _is_level(heights: FloatArray, solution: _Solution, parameters: RegistrationParameters) -> bool:
+    """Whether the reference's (N,) heights differ by less than they disagree with the surface: then the surface's own
+    slopes alone make a shift look determined."""
+    seen = solution.seen
+    low, high = np.quantile(heights[seen], parameters.level)
+    return bool(high - low < nmad(solution.residual[seen]))
 
 
 def _other_relief(own: FloatArray, reference: FloatArray, parameters: RegistrationParameters) -> Optional[OtherRelief]:

@@ -122,6 +122,18 @@ def test_a_plain_tells_the_height_and_no_position():
     assert abs(solved.moved[2] - shift[2]) < 0.5 and solved.deviations[:2] == pytest.approx([8.0, 8.0])
 
 
+def test_a_level_reference_tells_no_position_of_a_town():
+    """The town's own slopes are no evidence: with a constant surface they agree nowhere better than elsewhere."""
+    rng = np.random.default_rng(5)
+    own = relief(rng, 5.0) + houses(rng) + rng.normal(size=(SIDE, SIDE)) * 0.3
+    x, y, height = means(np.full_like(own, 30.0), 6)
+    level = Reference("plane", np.column_stack([x.ravel(), y.ravel(), height.ravel()]), (30.0, 30.0))
+    solved = solve_shift(surface_of(own, level), level, PROMISED)
+    assert len(solved.determined) == 0 and (solved.moved[:2] == 0).all()
+    assert solved.moved[2] == pytest.approx(30.0 - np.median(own), abs=2.0)
+    assert solved.deviations[:2] == pytest.approx([8.0, 8.0])
+
+
 def test_slopes_in_one_direction_tell_the_position_across_them():
     rng = np.random.default_rng(1)
     ridges = np.tile(60.0 * np.sin(np.arange(SIDE) / 9.0), (SIDE, 1))  # as high everywhere to the north and south
