@@ -147,7 +147,7 @@ def test_every_stage_says_and_reports_in_german(german, sample, tmp_path):
         assert not english_in(heard.texts), stage
         assert not english_in(pieces(Path(report(stage)))), stage
     heard = Heard()
-    run_stage("exportcameras", {"scene": refined, "folder": str(tmp_path / "export")}, heard)
+    run_stage("exportcameras", {"scene": refined, "folder": str(tmp_path / "export"), "format": "mvsnet"}, heard)
     assert not english_in(heard.texts)
     labels = re.findall(r' label="([^"]*)"', (tmp_path / "gcps.qml").read_text(encoding="utf-8"))
     assert labels and not english_in(map(html.unescape, labels))
