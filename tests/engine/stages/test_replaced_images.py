@@ -98,7 +98,7 @@ def test_amid_the_export(fitted, tmp_path, told, monkeypatch):
             done.append(replace_image(images[1]))
 
     monkeypatch.setattr(exportcameras, "write_image", written)
-    wanted = {"scene": refined["output_scene"], "folder": str(tmp_path / "cameras"), "format": "colmap"}
+    wanted = {"scene": refined["output_scene"], "folder": str(tmp_path / "cameras"), "format": "mvsnet"}
     with pytest.raises(SceneError, match=WORDS):
         run_stage("exportcameras", wanted, told())
     assert not list((tmp_path / "cameras").rglob("*.tif"))

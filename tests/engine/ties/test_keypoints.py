@@ -20,8 +20,10 @@ from repm_qgis.stages import run_stage
 from repm_qgis.ties import keypoints
 from repm_qgis.ties.keypoints import CPU_DETECTOR, ColmapSift, DetectorError, OpenCvSift
 from repm_qgis.ties.tie_points import find_ties
+from tests.engine.versions import needs_pycolmap_4
 
 BOTH = (OpenCvSift(), ColmapSift("cpu"))
+EACH = (BOTH[0], pytest.param(BOTH[1], marks=needs_pycolmap_4))
 
 
 class BrokenGpu(ColmapSift):
@@ -49,7 +51,7 @@ def scene(urban, tmp_path, told):
     return Scene.load(run_stage("epmfit", {"images": urban.images, "workspace": str(tmp_path)}, told())["scene"])
 
 
-@pytest.mark.parametrize("detector", BOTH, ids=lambda d: d.name)
+@pytest.mark.parametrize("detector", EACH, ids=lambda d: d.name)
 def test_blobs_are_found_at_their_middles(detector):
     places = np.array([(x, y) for x in (26.25, 63.0, 101.75) for y in (25.0, 64.25, 100.5)])
     found = detector.detect(blobs(places), np.ones((128, 128), np.uint8), 200)
@@ -57,7 +59,7 @@ def test_blobs_are_found_at_their_middles(detector):
     assert np.median(away) < 0.05 and away.max() < 0.25
 
 
-@pytest.mark.parametrize("detector", BOTH, ids=lambda d: d.name)
+@pytest.mark.parametrize("detector", EACH, ids=lambda d: d.name)
 def test_keypoints_of_an_image(detector, grey):
     mask = np.zeros(grey.shape, np.uint8)
     mask[50:300, 100:350] = 1
@@ -72,6 +74,7 @@ def test_keypoints_of_an_image(detector, grey):
     np.testing.assert_array_equal(found.descriptors, again.descriptors)
 
 
+@needs_pycolmap_4
 @pytest.mark.long
 def test_both_detectors_count_pixels_alike(grey):
     ours, theirs = (d.detect(grey, np.ones(grey.shape, np.uint8), 4000).points for d in BOTH)
@@ -82,17 +85,20 @@ def test_both_detectors_count_pixels_alike(grey):
     assert np.abs(np.median(close, axis=0)).max() < 0.02
 
 
+@needs_pycolmap_4
 def test_an_empty_image_has_no_keypoints():
     for detector in BOTH:
         found = detector.detect(np.full((64, 64), 90, np.uint8), np.ones((64, 64), np.uint8), 100)
         assert found.points.shape == (0, 2) and found.descriptors.shape[0] == 0
 
 
+@needs_pycolmap_4
 def test_the_device_is_asked_in_a_process_of_its_own():
     assert keypoints.answers("cpu")
     assert not keypoints.answers("no such device")
 
 
+@needs_pycolmap_4
 def test_a_device_that_counts_pixels_otherwise_does_not_pass():
     class FromCorner(ColmapSift):
         def detect(self, *arguments):
@@ -118,6 +124,7 @@ def test_processes_that_share_a_gpu_are_few():
     assert ColmapSift("cpu").workers(16) == OpenCvSift().workers(16) == 16
 
 
+@needs_pycolmap_4
 def test_only_what_is_chosen_gets_the_descriptors_it_has_among_all(grey):
     mask = np.ones(grey.shape, np.uint8)
     for detector in BOTH:
@@ -165,6 +172,7 @@ def test_errors_on_the_cpu_are_not_tried_again(monkeypatch, told):
     assert len(asked) == 1 and not said.warnings
 
 
+@needs_pycolmap_4
 @pytest.mark.long
 def test_the_detector_is_recorded_and_colmaps_gives_ties_as_good(monkeypatch, scene):
     """The way of the GPU, with COLMAP's detector on the CPU in its place."""
