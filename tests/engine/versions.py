@@ -18,5 +18,5 @@ def _pycolmap() -> str:
 
 needs_pycolmap_4 = pytest.mark.skipif(
     _pycolmap().split(".")[0] in ("0", "1", "2", "3"),
-    reason="pycolmap 4 is needed, which has no wheel for Python 3.9: users are told so in a sentence",
+    reason="pycolmap 4 is needed, which has no wheel for Python 3.9: the engine says so in a sentence",
 )
