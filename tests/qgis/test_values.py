@@ -288,17 +288,18 @@ def test_a_raster_that_is_not_there_or_damaged_is_named(plugin, context, rasters
 
 
 def test_clouds_and_points_are_taken_where_they_are_read(plugin, context, rasters, tmp_path):
-    cloud, table, scene = (tmp_path / name for name in ("cloud.laz", "points.csv", "scene.json"))
-    for path in (cloud, table):
+    cloud, other, table, scene = (tmp_path / name for name in ("cloud.laz", "other.laz", "points.csv", "scene.json"))
+    for path in (cloud, other, table):
         path.write_text("x,y,z\n")  # what is in it is the engine's to judge
     scene.write_text("{}")
     compared = {"DSM": rasters[0], "REFERENCE": str(cloud), "ALIGN": "icp", "THRESHOLDS": "1"}
     assert check("comparedsm", compared, context) == (True, "")
-    assert check("comparedsm", {**compared, "DSM": str(cloud)}, context) == (True, "")
+    assert check("comparedsm", {**compared, "DSM": str(other)}, context) == (True, "")
+    assert "is the same file as DSM" in check("comparedsm", {**compared, "DSM": str(cloud)}, context)[1]
     assert not check("comparedsm", {**compared, "REFERENCE": str(table)}, context)[0]
     gone = str(tmp_path / "gone.laz")
     assert f"REFERENCE '{gone}' is not there" in check("comparedsm", {**compared, "REFERENCE": gone}, context)[1]
-    assert check("comparedsm", {**compared, "OTHERS": [rasters[0], str(cloud)]}, context) == (True, "")
+    assert check("comparedsm", {**compared, "OTHERS": [rasters[0], str(other)]}, context) == (True, "")
     assert f"OTHERS '{gone}' is not there" in check("comparedsm", {**compared, "OTHERS": [gone]}, context)[1]
     for reference in (cloud, table):
         given = {"SCENE": str(scene), "REFERENCE": [str(reference)], "OUTPUT_SCENE": str(tmp_path / "r.json")}
