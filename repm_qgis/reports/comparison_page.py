@@ -16,6 +16,7 @@ from ..numerics.accuracy import EXPLAINED
 from . import charts, pictures, verdict
 from .report import Report, fixed
 
+_ERRORS = "Compared cells | RMSE (m) | MedAE (m) | MAE (m) | NMAD (m) | LE90 (m) | bias (m)"
 _METHODS = {
     "none": "none: the rasters are compared as they are",
     "vertical": "vertical: median height difference",
@@ -141,11 +142,9 @@ def _metrics(page: Report, found: Comparison) -> None:
     _accuracy_tables(page, found, "Reference slope", found.by_slope)
     if found.by_class:
         _accuracy_tables(page, found, "Class", found.by_class)
-    normal = found.along_normals
-    figures = fixed(normal.rmse, normal.medae, normal.mae, normal.nmad, normal.le90, normal.bias)
     page.table(
-        "Measured | Compared cells | RMSE (m) | MedAE (m) | MAE (m) | NMAD (m) | LE90 (m) | bias (m)",
-        [["along the normal", normal.cells, *figures]],
+        f"Measured | {_ERRORS}",
+        [_errors("along the normal", found.along_normals)],
         "On a steep slope or at a wall, a small shift to the side is a large difference in height. This distance is "
         "measured at right angles to the reference's surface: the height difference times the cosine of the slope. "
         "It is positive where the DSM is above. Cells beside holes have no slope and are not counted.",
@@ -157,11 +156,16 @@ def _metrics(page: Report, found: Comparison) -> None:
     )
 
 
+def _errors(name: str, m: HeightMetrics) -> List[object]:
+    """A row of a table with the columns ``_ERRORS``."""
+    return [name, m.cells, *fixed(m.rmse, m.medae, m.mae, m.nmad, m.le90, m.bias)]
+
+
 def _accuracy_tables(page: Report, found: Comparison, by: str, parts: Sequence[Tuple[str, HeightMetrics]]) -> None:
     rows = [("all", found.metrics)] + [(name, m) for name, m in parts if m.reference_cells]
     page.table(
-        f"{by} | Compared cells | RMSE (m) | MedAE (m) | MAE (m) | NMAD (m) | LE90 (m) | bias (m)",
-        [[name, m.cells, *fixed(m.rmse, m.medae, m.mae, m.nmad, m.le90, m.bias)] for name, m in rows],
+        f"{by} | {_ERRORS}",
+        [_errors(name, m) for name, m in rows],
         "e is DSM − reference, over the cells that have both heights. MedAE is the median of |e| (ME in the method's "
         "paper), bias is the median of e. "
         + EXPLAINED
