@@ -168,6 +168,7 @@ class _Pool:
         if self._executor is None:
             self._executor = ProcessPoolExecutor(workers, mp_context=_context(), initializer=begin_worker)
             self._workers = workers
+            _begin_to_feed(self._executor)
         return self._executor
 
     def _exit_codes(self) -> List[Optional[int]]:
@@ -207,6 +208,18 @@ class _Pool:
             return
         with _unblocked(executor) if ended else nullcontext():
             executor.shutdown(wait=True, cancel_futures=True)
+
+
+def _begin_to_feed(executor: ProcessPoolExecutor) -> None:
+    """Start the thread that takes tasks to the workers here, where a lack of memory for it can be raised.
+
+    The executor would start it from a thread of its own with the first task, and Python prints the traceback of one
+    that dies.
+    """
+    queue = getattr(executor, "_call_queue", None)  # no public name has it
+    if getattr(queue, "_thread", queue) is None:
+        with queue._notempty:
+            queue._start_thread()
 
 
 @contextmanager
