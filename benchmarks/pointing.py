@@ -159,8 +159,8 @@ def triplet() -> List[str]:
 
 
 def timed_pointing(path: str, detector: str) -> Dict[str, object]:
-    """Ties and adjustment of a scene with seconds; ``detector`` is opencv or colmap, both on the CPU."""
-    keypoints = replace(TIES.keypoints, colmap_on_cpu=detector == "colmap")
+    """Ties and adjustment of a scene with seconds; ``detector`` is none (OpenCV's), or the device of COLMAP's."""
+    keypoints = replace(TIES.keypoints, colmap_device=detector)
     scene = replace(SceneFile.load(path), refinement="polynomial")
     wall, before = time.perf_counter(), os.times()
     found = pointed(scene, parameters=replace(POINTING, ties=replace(POINTING.ties, keypoints=keypoints)))
@@ -170,7 +170,7 @@ def timed_pointing(path: str, detector: str) -> Dict[str, object]:
     return {"wall": wall, "cpu": cpu, "pointing": pointing, "figures": found.figures.to_mapping()}
 
 
-def cost(images: Sequence[str], detector: str = "opencv") -> Dict[str, object]:
+def cost(images: Sequence[str], detector: str = "none") -> Dict[str, object]:
     """The same in a process of its own, with MiB of itself and of a worker."""
     with tempfile.TemporaryDirectory() as folder:
         used = alone(timed_pointing, str(fitted(images, Path(folder) / "w").path), detector)
@@ -206,7 +206,7 @@ def detectors() -> List[str]:
         scenes.append((label, case.images, case))
     rows = []
     for label, images, case in scenes:
-        for detector in ("opencv", "colmap"):
+        for name, detector in (("opencv", "none"), ("colmap", "cpu")):
             found = cost(images, detector)
             pairs, left = found["figures"]["pairs"], ""
             if case is not None:
@@ -214,7 +214,7 @@ def detectors() -> List[str]:
                 left = float(np.median(case.observable_px(pointing)))
             parallax = float(np.mean([pair["after_px"] for pair in pairs]))
             ties = (sum(pair["candidates"] for pair in pairs), found["figures"]["count"], parallax)
-            rows.append([label, detector, *ties, left, found["cpu"], f"{found['own']:.0f}"])
+            rows.append([label, name, *ties, left, found["cpu"], f"{found['own']:.0f}"])
     headers = (
         "scene | SIFT of | matches | ties | vertical parallax, px (median, mean of pairs) | left, px | CPU, s | "
         "memory, MiB"
@@ -224,7 +224,7 @@ def detectors() -> List[str]:
             "**Detectors**: SIFT of OpenCV and of COLMAP (pycolmap, VLFeat's code), both on the CPU with the same "
             "budget of keypoints; ties and adjustment together, CPU seconds of all threads. Left: where observable, "
             "shifts of up to 15 px. COLMAP's gives somewhat more ties of the same quality for more time and memory, so "
-            "OpenCV's is the default on the CPU. COLMAP's on a GPU was not measured: there was none."
+            "OpenCV's is the default on the CPU. COLMAP's on a GPU: `make bench-cuda`."
         ),
         Details(table(headers, rows)),
     ]
