@@ -1,4 +1,4 @@
-"""3-D Tiles of surfaces of 1 to 100 million cells: time, memory, and what is written."""
+"""3-D Tiles of surfaces and of clouds of 1 to 100 million cells or points: time, memory, and what is written."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ import pyproj
 from benchmarks.runner import alone, few, say, stage
 from benchmarks.tables import Section, table
 from repm_qgis.imagery.raster import RasterFrame, created
+from repm_qgis.solids.point_cloud import created_cloud
 
 SIDES = (1000, 2000, 5000, 10000)
 _CELL_M, _STRIP = 0.5, 500
+_EPSG, _WEST, _NORTH = "EPSG:32631", 500_000.0, 4_800_000.0
 _BLOCK_M, _HOUSE_M = 24.0, 16.0  # houses stand in a grid of blocks, each with a flat roof of its own height
 
 
@@ -33,8 +35,8 @@ def _heights(first: int, rows: int, columns: int) -> np.ndarray:
 
 def _surface(folder: str, side: int) -> str:
     path = f"{folder}/dsm.tif"
-    crs = pyproj.CRS("EPSG:32631").to_wkt()
-    frame = RasterFrame((side, side), np.float32, 1, (500_000.0, _CELL_M, 0.0, 4_800_000.0, 0.0, -_CELL_M), crs)
+    crs = pyproj.CRS(_EPSG).to_wkt()
+    frame = RasterFrame((side, side), np.float32, 1, (_WEST, _CELL_M, 0.0, _NORTH, 0.0, -_CELL_M), crs)
     with created(path, frame, descriptions=["height"], unit="m") as raster:
         for row in range(0, side, _STRIP):
             raster.write(_heights(row, min(_STRIP, side - row), side), 0, row)
@@ -72,4 +74,56 @@ def cost() -> List[str]:
     ]
 
 
-SECTIONS = [Section("tiles", "3-D Tiles", "make bench-tiles", {"cost": cost})]
+def _points(folder: str, side: int) -> str:
+    """A cloud with a point in each cell of the surface, anywhere in it, in colour."""
+    path, numbers = f"{folder}/cloud.laz", np.random.default_rng(side)
+    with created_cloud(path, _EPSG, (_WEST, _NORTH, 0.0), coloured=True) as cloud:
+        for first in range(0, side, _STRIP):
+            heights = _heights(first, min(_STRIP, side - first), side)
+            row, column = (part.ravel() for part in np.indices(heights.shape))
+            x, y = (place + numbers.uniform(0, 1, place.shape) for place in (column, first + row))
+            colours = np.column_stack([np.abs(np.sin(x / 90)), np.abs(np.sin(y / 70)), np.full(x.shape, 0.5)]) * 65535
+            score = numbers.uniform(0, 1, x.shape)
+            cloud.write(_WEST + x * _CELL_M, _NORTH - y * _CELL_M, heights.ravel(), score, colours.astype(np.uint16))
+    return path
+
+
+def _shares(folder: Path) -> List[float]:
+    """The millions of points that a viewer has when it has loaded the tiles of each depth, from the root on."""
+    many: Dict[int, int] = {}
+    for path in (folder / "tiles").iterdir():
+        data = path.read_bytes()
+        document = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+        depth = int(path.name.split("_")[0])
+        many[depth] = many.get(depth, 0) + document["accessors"][0]["count"]
+    return [sum(many[depth] for depth in many if depth <= deepest) / 1e6 for deepest in sorted(many)]
+
+
+def clouds() -> List[str]:
+    rows, levels = [], ""
+    for side in few(SIDES):
+        with tempfile.TemporaryDirectory() as folder:
+            cloud = alone(_points, folder, side).result
+            found, tiles, million = alone(_tiled, folder, cloud), Path(folder, "tiles"), side**2 / 1e6
+            sizes = {path: path.stat().st_size for path in tiles.rglob("*") if path.is_file()}
+            whole, index = sum(sizes.values()) / 1e6, sizes[tiles / "tileset.json"] / 1e6
+            read = Path(cloud).stat().st_size / 1e6
+            rows.append([million, found.cpu_s, found.cpu_s / million, found.mib, _listed(tiles), read, whole, index])
+            levels = ", ".join(f"{share:.3g}" for share in _shares(tiles))
+        say(rows[-1])
+    heads = (
+        "million points | CPU s | CPU s a million | peak MiB | tiles | MB of the LAZ | MB on the disk | of it the list"
+    )
+    return [
+        "The same town as points in colour, one anywhere in each cell, from a LAZ file. All files that a tileset names "
+        "are there.",
+        table(f"{heads}, MB", rows),
+        f"Million points down to each level of the last one, from the coarsest tile on: {levels}.",
+    ]
+
+
+_COMMAND = "make bench-tiles"
+SECTIONS = [
+    Section("tiles", "3-D Tiles", _COMMAND, {"cost": cost}),
+    Section("cloud_tiles", "3-D Tiles of point clouds", _COMMAND, {"clouds": clouds}),
+]

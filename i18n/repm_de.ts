@@ -2698,28 +2698,28 @@
 <context>
     <name>Tiles3d</name>
     <message>
-        <source>Write a DSM as 3-D Tiles</source>
-        <translation>DOM als 3-D Tiles schreiben</translation>
+        <source>Write a DSM or a point cloud as 3-D Tiles</source>
+        <translation>DOM oder Punktwolke als 3-D Tiles schreiben</translation>
     </message>
     <message>
-        <source>The surface as a tileset for CesiumJS, QGIS and other viewers that show it on the globe.</source>
-        <translation>Die Oberfläche als Kachelsatz für CesiumJS, QGIS und andere Programme, die sie auf dem Globus zeigen.</translation>
+        <source>The surface or the points as a tileset for CesiumJS, QGIS and other viewers that show it on the globe.</source>
+        <translation>Die Oberfläche oder die Punkte als Kachelsatz für CesiumJS, QGIS und andere Programme, die ihn auf dem Globus zeigen.</translation>
     </message>
     <message>
-        <source>DSM to write</source>
-        <translation>DOM, das geschrieben wird</translation>
+        <source>DSM or point cloud to write</source>
+        <translation>DOM oder Punktwolke, die geschrieben werden</translation>
     </message>
     <message>
-        <source>A raster of heights, in any CRS: a surface or a terrain model, of this plugin or of others.</source>
-        <translation>Ein Höhenraster in einem beliebigen KBS: ein Oberflächen- oder Geländemodell, von diesem Plugin oder von anderen.</translation>
+        <source>A raster of heights, in any CRS: a surface or a terrain model, of this plugin or of others. Or a point cloud (LAZ, LAS): its points are written, which QGIS does not draw, and CesiumJS does.</source>
+        <translation>Ein Höhenraster in einem beliebigen KBS: ein Oberflächen- oder Geländemodell, von diesem Plugin oder von anderen. Oder eine Punktwolke (LAZ, LAS): Geschrieben werden ihre Punkte, die CesiumJS zeichnet und QGIS nicht.</translation>
     </message>
     <message>
         <source>Orthophoto</source>
         <translation>Orthophoto</translation>
     </message>
     <message>
-        <source>A picture to drape over the surface, grey or in colour, in any CRS. Empty: a hillshade.</source>
-        <translation>Ein Bild, das über die Oberfläche gelegt wird, grau oder farbig, in einem beliebigen KBS. Leer: eine Schummerung.</translation>
+        <source>A picture to drape over the surface, grey or in colour, in any CRS. Empty: a hillshade. For a point cloud: leave it empty, its points keep their own colours.</source>
+        <translation>Ein Bild, das über die Oberfläche gelegt wird, grau oder farbig, in einem beliebigen KBS. Leer: eine Schummerung. Für eine Punktwolke leer lassen: Ihre Punkte behalten ihre eigenen Farben.</translation>
     </message>
     <message>
         <source>The file to open: tileset.json</source>

@@ -729,11 +729,20 @@ class ViewerOptions(Options):
 
 @dataclass(frozen=True)
 class Tiles3dOptions(Options):
-    """Write a DSM as 3-D Tiles into the folder ``tiles3d``, with the pictures of ``ortho`` (None: a hillshade)."""
+    """Write a DSM as 3-D Tiles into the folder ``tiles3d``, with the pictures of ``ortho`` (None: a hillshade).
+
+    ``dsm`` may be a point cloud (LAZ, LAS) instead, whose points have colours of their own.
+    """
 
     dsm: str = read()
     tiles3d: str = given()
     ortho: Optional[str] = read(None)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.ortho and is_cloud(self.dsm):
+            own = "must be empty where DSM is a point cloud: its points keep the colours that they have in the file"
+            raise OptionError("ORTHO", self.ortho, own)
 
 
 @dataclass(frozen=True)

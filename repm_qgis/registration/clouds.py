@@ -93,17 +93,33 @@ class OpenedCloud:
 
     def parts(self, crs: str, bounds: Bounds, check: Callable[[], None] = lambda: None) -> Iterator[CloudPart]:
         """The points within bounds of a projected CRS, but for noise and those that are withheld, some at a time."""
-        unit, within = metres_per_unit(self.system) or 1.0, Within(flat_crs(self.system), crs, bounds)
-        for points in self.reader.chunk_iterator(max(1, min(_POINTS, _BYTES // self.reader.header.point_format.size))):
-            check()
+        within = Within(flat_crs(self.system), crs, bounds)
+        for points in self.records(check):
             x, y = np.asarray(points.x), np.asarray(points.y)
             kind = np.asarray(points.classification)
-            use = within.near(x, y) & ~np.isin(kind, _NOISE) & (np.asarray(points.withheld) == 0)
+            use = within.near(x, y) & meant(points)
             xy, inside = within.places(x[use], y[use])
-            xyz = np.column_stack([xy, np.asarray(points.z)[use] * unit])[inside]
+            xyz = np.column_stack([xy, np.asarray(points.z)[use] * self.unit_m])[inside]
             if len(xyz):
                 first = np.asarray(points.return_number)[use][inside] <= 1
                 yield CloudPart(xyz, kind[use][inside] == _GROUND, first)
+
+    @property
+    def unit_m(self) -> float:
+        """The unit of the heights, m."""
+        return metres_per_unit(self.system) or 1.0
+
+    def records(self, check: Callable[[], None] = lambda: None) -> Iterator[Any]:
+        """All points as laspy's records, some at a time."""
+        for points in self.reader.chunk_iterator(max(1, min(_POINTS, _BYTES // self.reader.header.point_format.size))):
+            check()
+            yield points
+
+
+def meant(points: Any) -> Mask:
+    """(N,) which of laspy's records are points of the ground and of what is on it: neither noise nor withheld."""
+    use: Mask = ~np.isin(np.asarray(points.classification), _NOISE) & (np.asarray(points.withheld) == 0)
+    return use
 
 
 @contextmanager

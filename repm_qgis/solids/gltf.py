@@ -1,4 +1,5 @@
-"""The DSM's mesh as glTF in one binary file (GLB), with the orthophoto as its picture: for the web, games and CAD.
+"""The DSM's mesh as glTF in one binary file (GLB), with the orthophoto as its picture: for the web, games and CAD; and
+the meshes and points of 3-D Tiles.
 
 Coordinates are metres from the middle of the DSM in single precision, as glTF has no other: x to the east, y up, z to
 the south. The middle, its CRS and the datum of the heights are in ``asset.extras``, so that the mesh can be put back.
@@ -12,7 +13,8 @@ from __future__ import annotations
 
 import json
 import struct
-from typing import Dict, List, Optional, Tuple
+from functools import lru_cache
+from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -20,11 +22,14 @@ from ..contracts.arrays import FloatArray, IntArray
 from ..contracts.errors import OptionError
 from ..geometry.vertical import ELLIPSOID, TAG
 from .lattice import Surface
+from .painting import Colours
 from .texture import middle, picture, picture_places
 
 _POSITION, _PLACE, _CORNERS = 12, 8, 12  # bytes: of a vertex, of its place in the picture, of a triangle
-_FLOAT, _UINT = 5126, 5125  # glTF's names of types
+_FLOAT, _UINT, _USHORT = 5126, 5125, 5123  # glTF's names of types
 _ARRAY, _ELEMENTS = 34962, 34963  # and of what buffers are for
+_METADATA, _UNLIT = "EXT_structural_metadata", "KHR_materials_unlit"
+_WHITE = 65535
 
 
 def write_glb(path: str, surface: Surface, vertices: int, faces: int) -> None:
@@ -57,9 +62,68 @@ def small_glb(xyz: FloatArray, places: FloatArray, corners: IntArray, *, image: 
     vertices = turned(xyz).astype("<f4")
     parts = [vertices.tobytes(), places.astype("<f4").tobytes(), corners.astype("<u4").tobytes(), image]
     ends = vertices.min(axis=0).astype(float).tolist(), vertices.max(axis=0).astype(float).tolist()
-    sizes = [len(part) for part in parts]
-    body = _even(sum(sizes))
-    return _head(_document({}, ends, sizes), body) + b"".join(parts) + b"\0" * (body - sum(sizes))
+    return _joined(_document({}, ends, [len(part) for part in parts]), parts)
+
+
+def points_glb(xyz: FloatArray, colours: Colours, intensity: FloatArray) -> bytes:
+    """Points as a GLB: (N, 3) east, north and up in metres, (N, 3) colours as screens have them (sRGB), and (N,) values
+    of 0..1, which are the points' property "intensity" (EXT_structural_metadata).
+
+    Positions are relative to the points' middle, so that single precision holds them: the node moves them there.
+    """
+    places = turned(xyz)
+    middle = (places.min(axis=0) + places.max(axis=0)) / 2
+    near = (places - middle).astype("<f4")
+    painted = np.full((len(xyz), 4), _WHITE, "<u2")
+    painted[:, :3] = _linear()[colours]
+    parts = [near.tobytes(), painted.tobytes(), intensity.astype("<f4").tobytes()]
+    starts = [sum(map(len, parts[:n])) for n in range(3)]
+    accessors: List[Dict[str, object]] = [
+        {"componentType": _FLOAT, "type": "VEC3", "min": near.min(axis=0).tolist(), "max": near.max(axis=0).tolist()},
+        {"componentType": _USHORT, "type": "VEC4", "normalized": True},
+        {"componentType": _FLOAT, "type": "SCALAR"},
+    ]
+    primitive = {
+        "attributes": {"POSITION": 0, "COLOR_0": 1, "_INTENSITY": 2},
+        "material": 0,
+        "mode": 0,
+        "extensions": {_METADATA: {"propertyAttributes": [0]}},
+    }
+    attribute = {"class": "point", "properties": {"intensity": {"attribute": "_INTENSITY"}}}
+    properties = {"intensity": {"type": "SCALAR", "componentType": "FLOAT32"}}
+    schema = {"id": "points", "classes": {"point": {"properties": properties}}}
+    document: Dict[str, object] = {
+        "asset": {"version": "2.0", "generator": "REPM"},
+        "extensionsUsed": [_METADATA, _UNLIT],
+        "extensions": {_METADATA: {"schema": schema, "propertyAttributes": [attribute]}},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "translation": middle.tolist()}],
+        "meshes": [{"primitives": [primitive]}],
+        "materials": [{"extensions": {_UNLIT: {}}}],
+        "accessors": [{"bufferView": n, "count": len(xyz), **each} for n, each in enumerate(accessors)],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": start, "byteLength": len(part), "target": _ARRAY}
+            for start, part in zip(starts, parts)
+        ],
+        "buffers": [{"byteLength": sum(map(len, parts))}],
+    }
+    return _joined(_padded(json.dumps(document).encode("ascii"), b" "), parts)
+
+
+@lru_cache(maxsize=1)
+def _linear() -> Colours:
+    """The colours that glTF has for those of screens (sRGB, IEC 61966-2-1), over the range of 16 bits."""
+    shown = np.arange(_WHITE + 1) / _WHITE
+    linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+    table: Colours = np.rint(_WHITE * linear).astype(np.uint16)
+    return table
+
+
+def _joined(document: bytes, parts: Sequence[bytes]) -> bytes:
+    """A whole file."""
+    size = sum(map(len, parts))
+    return _head(document, _even(size)) + b"".join(parts) + b"\0" * (_even(size) - size)
 
 
 def _head(document: bytes, body: int) -> bytes:

@@ -29,7 +29,7 @@ class PaintingParameters(Parameters):
 
 @dataclass(frozen=True)
 class EptParameters(Parameters):
-    """Sizes of Entwine Point Tiles, in points."""
+    """Sizes of Entwine Point Tiles and of 3-D Tiles of clouds (solids/octree.py), in points."""
 
     leaf: int = 1 << 16  # a node with so many keeps all: files of about 300 kB, as Entwine writes
     batch: int = 1 << 21  # sorted in memory at once: about 200 MB
@@ -49,13 +49,14 @@ class SimplificationParameters(Parameters):
 
 @dataclass(frozen=True)
 class Tiles3dParameters(Parameters):
-    """3-D Tiles of a surface (solids/tiles3d.py); other values are chosen."""
+    """3-D Tiles of a surface (solids/tiles3d.py) or a cloud (solids/cloud_tiles.py); other values are chosen."""
 
     cells: int = 256  # from the first to the last cell of a tile's side; a power of two
     tolerance: float = 0.25  # of a cell's side: a cell that is so much off on its own is not left out
     lost: float = 0.3  # squared distance, in its triangle's, that counts for a cell which is lost to a hole; tuned
     most_texels: int = 4  # of the picture for each cell's side
     jpeg_quality: int = 85
+    spacings: float = 8.0  # of a cloud's points: its tiles' geometric error; at 16 px, points are 2 px apart
 
 
 @dataclass(frozen=True)

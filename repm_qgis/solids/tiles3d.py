@@ -4,45 +4,37 @@ A quadtree over the DSM's own cells, made from its leaves upwards. A leaf has 25
 above four others has every second of their cells, so its vertices are vertices of theirs. Of each tile's cells those
 are left out that its triangles do not need. Of each level four tiles are in memory at a time.
 
-Vertices are metres in a local east, north, up frame at the DSM's middle, which the root's ``transform`` takes to
-geocentric coordinates (EPSG:4978). Tiles are listed one by one and not by implicit tiling, which QGIS 3.40 does not
-read; so each has a box and an error of its own.
-
-References
-----------
-Open Geospatial Consortium, 3D Tiles Specification 1.1, OGC 22-025r4, 2023.
+Vertices are metres in a local east, north, up frame at the DSM's middle (solids/tileset.py).
 """
 
 from __future__ import annotations
 
-import json
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Dict, List, Optional, Tuple
+from typing import List, Optional, Tuple
 
 import numpy as np
 from osgeo import gdal
 
 from ..contracts.arrays import ByteImage, FloatArray, FloatImage, IntArray, Window
 from ..contracts.documents import JsonObject
-from ..contracts.errors import EmptyResultError, WorkspaceError
+from ..contracts.errors import EmptyResultError
 from ..evaluation.grids import Grid, cell_sides, require_place
-from ..geometry.frames import EnuFrame, flat_crs, geodetic_from_projected, on_earth
-from ..geometry.vertical import ELLIPSOID, TAG, HeightDatum, stated_datum
+from ..geometry.frames import on_earth
+from ..geometry.vertical import TAG
 from ..imagery.heights import read_heights
 from ..imagery.raster import opened
 from ..reports.pictures import hillshade, jpeg_bytes
 from ..runtime.progress import Progress, Silent
-from ..runtime.workspace import foreign_entries, whole_folder
+from ..runtime.workspace import whole_folder
 from .gltf import small_glb
 from .painting import Paint, opened_paint
 from .parameters import SOLIDS, SolidsParameters
 from .tile_triangles import Kept, kept_of_tile, surface_of_tile
+from .tileset import Globe, box, require_tiles3d_place, write_tileset
 
-_ENTRIES = ("tileset.json", "tiles")
 _LEVEL = 0.7071  # the light on level ground
-_BOX_MARGIN = 1e-6  # of its size: vertices are in single precision
 
 
 @dataclass(frozen=True)
@@ -65,15 +57,6 @@ class _Tile:
     low: FloatArray
     high: FloatArray
     entry: JsonObject
-
-
-def require_tiles3d_place(path: str) -> None:
-    """Check that a folder that a tileset replaces holds nothing else; raises WorkspaceError."""
-    folder = Path(path)
-    others = foreign_entries(folder, _ENTRIES.__contains__)
-    if others:
-        reason = f"holds '{others[0]}', which does not belong to a tileset and would be lost"
-        raise WorkspaceError(f"The folder '{folder}' {reason}: choose a new or empty folder for TILES3D.")
 
 
 def write_tiles3d(
@@ -105,7 +88,7 @@ def write_tiles3d(
         root = tree.tile(tree.depth, 0, 0)
         if root is None:
             raise EmptyResultError(f"The DSM '{dsm}' has no heights: there is nothing to write into '{folder}'.")
-        tree.write(root)
+        write_tileset(whole, tree.globe.frame, root.entry, "REPLACE", float(np.linalg.norm(root.high - root.low)))
         return Tiles3dFacts(tree.tiles, tree.vertices, tree.triangles, root.error)
 
 
@@ -126,16 +109,9 @@ class _Tree:
     def __post_init__(self) -> None:
         self.grid, self.n = Grid.of(self.dataset), self.parameters.tiles3d.cells
         require_place(self.grid)
-        crs = on_earth(self.grid.crs, self.grid.path)
-        datum = stated_datum(crs, self.dataset.GetMetadataItem(TAG) or "")
-        if datum is None:
-            silent = f"'{self.grid.path}' does not state its vertical datum"
-            self.progress.warn(f"{silent}: its heights are taken to be above the ellipsoid.")
-        self.datum = datum or HeightDatum("", ELLIPSOID)
-        self.crs = flat_crs(crs).to_wkt("WKT2_2019")
         width, height = self.grid.size
-        x, y = self.grid.to_ground(width / 2, height / 2)
-        self.frame = EnuFrame(*map(float, geodetic_from_projected(self.crs, np.array([x, y]))))
+        middle, tag = self.grid.to_ground(width / 2, height / 2), self.dataset.GetMetadataItem(TAG) or ""
+        self.globe = Globe.at(middle, self.grid.path, on_earth(self.grid.crs, self.grid.path), tag, self.progress)
         self.cell_m = max(cell_sides(self.grid))
         self.depth = 0
         while self.n << self.depth < max(width, height) - 1:
@@ -196,7 +172,7 @@ class _Tree:
             ends += [xyz.min(axis=0), xyz.max(axis=0)]
             entry["content"] = {"uri": self._name(*place)}
         low, high = np.min(ends, axis=0), np.max(ends, axis=0)
-        entry.update(boundingVolume=_box(low, high), geometricError=error)
+        entry.update(boundingVolume=box(low, high), geometricError=error)
         if below:
             entry["geometricError"] = max(error, cell, *(part.entry["geometricError"] for part in below))
             entry["children"] = [part.entry for part in below]
@@ -237,31 +213,12 @@ class _Tree:
         return (self.paint.onto(cells) >> 8).astype(np.uint8)
 
     def _enu(self, row: IntArray, column: IntArray, heights: FloatImage) -> FloatArray:
-        xy = np.column_stack(self.grid.to_ground(column + 0.5, row + 0.5))
-        above = heights + self.datum.undulation(self.crs, xy)
-        return self.frame.from_geodetic(np.column_stack([geodetic_from_projected(self.crs, xy), above]))
-
-    def write(self, root: _Tile) -> None:
-        """Write ``tileset.json``, the last file."""
-        matrix = self.frame.ecef_from_enu.T.ravel().tolist()  # column by column
-        size = float(np.linalg.norm(root.high - root.low))
-        document = {
-            "asset": {"version": "1.1"},
-            "geometricError": max(size, root.entry["geometricError"]),
-            "root": {"transform": matrix, "refine": "REPLACE", **root.entry},
-        }
-        (self.folder / "tileset.json").write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
+        return self.globe.enu(np.column_stack(self.grid.to_ground(column + 0.5, row + 0.5)), heights)
 
 
 def _rms(differences: FloatImage) -> float:
     known = differences[np.isfinite(differences)]
     return float(np.sqrt(np.mean(known.astype(np.float64) ** 2))) if known.size else 0.0
-
-
-def _box(low: FloatArray, high: FloatArray) -> Dict[str, List[float]]:
-    middle, half = (low + high) / 2, (high - low) / 2
-    half = half + _BOX_MARGIN * (np.abs(low) + np.abs(high)) + 1e-3
-    return {"box": [*middle.tolist(), *np.diag(half).ravel().tolist()]}
 
 
 def _shaded(heights: FloatImage, cell_m: float) -> ByteImage:

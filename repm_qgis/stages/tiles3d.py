@@ -1,22 +1,25 @@
-"""Write a DSM as 3-D Tiles for viewers on the globe."""
+"""Write a DSM or a point cloud as 3-D Tiles for viewers on the globe."""
 
 from __future__ import annotations
 
 import os
 
 from ..contracts.documents import JsonObject
+from ..contracts.file_kinds import is_cloud
 from ..contracts.options import Tiles3dOptions
 from ..runtime.parallel import run_whole
 from ..runtime.progress import Progress, counted
+from ..solids.cloud_tiles import write_cloud_tiles
 from ..solids.tiles3d import write_tiles3d
 
 
 def run(options: Tiles3dOptions, progress: Progress) -> JsonObject:
-    """Write the tileset; gives its folder, and how many tiles, vertices and triangles it has.
+    """Write the tileset; gives its folder, and how many tiles, and vertices and triangles or points, it has.
 
     Raises ImageError, EmptyResultError, MissingPackageError, WorkspaceError.
     """
-    result: JsonObject = run_whole(_written, options, progress, "writing 3-D Tiles")
+    written = _written_points if is_cloud(options.dsm) else _written
+    result: JsonObject = run_whole(written, options, progress, "writing 3-D Tiles")
     progress.step(1.0, "tileset written")
     return result
 
@@ -28,5 +31,19 @@ def _written(options: Tiles3dOptions, progress: Progress) -> JsonObject:
         f"3-D Tiles: {tiles} with {made.vertices} vertices and {made.triangles} triangles; the coarsest is "
         f"{made.error_m:.2f} m (RMS) from the DSM."
     )
-    counts = {"tiles": made.tiles, "vertices": made.vertices, "triangles": made.triangles}
-    return {"tiles3d": options.tiles3d, "tileset": os.path.join(options.tiles3d, "tileset.json"), **counts}
+    return {**_files(options), "tiles": made.tiles, "vertices": made.vertices, "triangles": made.triangles}
+
+
+def _written_points(options: Tiles3dOptions, progress: Progress) -> JsonObject:
+    made = write_cloud_tiles(options.dsm, options.tiles3d, progress=progress)
+    progress.info(
+        f"3-D Tiles: {counted(made.tiles, 'tile')} with {made.points} points; the coarsest has one for each "
+        f"{made.spacing_m:.2f} m."
+        if made.spacing_m
+        else f"3-D Tiles: 1 tile with {made.points} points."
+    )
+    return {**_files(options), "tiles": made.tiles, "points": made.points}
+
+
+def _files(options: Tiles3dOptions) -> JsonObject:
+    return {"tiles3d": options.tiles3d, "tileset": os.path.join(options.tiles3d, "tileset.json")}

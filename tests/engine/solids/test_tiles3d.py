@@ -2,14 +2,8 @@
 
 from __future__ import annotations
 
-import functools
-import http.server
 import json
 import pathlib
-import shutil
-import struct
-import subprocess
-import threading
 
 import numpy as np
 import pytest
@@ -20,10 +14,9 @@ from repm_qgis.contracts.errors import EmptyResultError, RepmError, WorkspaceErr
 from repm_qgis.solids import tiles3d
 from repm_qgis.solids.tiles3d import write_tiles3d
 from repm_qgis.stages import run_stage
-from tests.browser import PROGRAM, Browser
+from tests.browser import PROGRAM
+from tests.tilesets import drawn_by_cesium, entries, enu, gltf_issues, read_glb
 
-ROOT = pathlib.Path(__file__).resolve().parents[3]
-TOOL = ROOT / "dist" / "tiles3d" / "tool"
 CELL, WEST, NORTH = 0.5, 500_000.0, 4_900_000.0
 ROWS, COLUMNS = 700, 600
 TO_UTM = Transformer.from_crs(4978, 32631, always_xy=True)
@@ -54,32 +47,10 @@ def write(path, heights, epsg="EPSG:32631", tag="WGS 84 ellipsoid"):
 
 def read_tile(path):
     """(N, 3) coordinates as glTF has them, (N, 2) places in the picture, (M, 3) corners, and the picture."""
-    data = pathlib.Path(path).read_bytes()
-    magic, version, length, size = struct.unpack_from("<4sIII", data)
-    assert (magic, version, length) == (b"glTF", 2, len(data))
-    document, body = json.loads(data[20 : 20 + size]), data[28 + size :]
-    kinds = {5126: "<f4", 5125: "<u4"}
-    parts = []
-    for accessor in document["accessors"]:
-        view = document["bufferViews"][accessor["bufferView"]]
-        part = body[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
-        parts.append(np.frombuffer(part, kinds[accessor["componentType"]]))
-    view = document["bufferViews"][document["images"][0]["bufferView"]]
-    picture = body[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+    document, views, parts = read_glb(path)
     name = f"/vsimem/{pathlib.Path(path).stem}.jpg"
-    gdal.FileFromMemBuffer(name, picture)
-    return parts[0].reshape(-1, 3), parts[1].reshape(-1, 2), parts[2].reshape(-1, 3), gdal.Open(name).ReadAsArray()
-
-
-def entries(entry, parent=None):
-    yield entry, parent
-    for child in entry.get("children", []):
-        yield from entries(child, entry)
-
-
-def enu(xyz):
-    """Of glTF's axes, whose y is up: 3-D Tiles turn them so that z is."""
-    return np.column_stack([xyz[:, 0], -xyz[:, 2], xyz[:, 1]]).astype(float)
+    gdal.FileFromMemBuffer(name, views[document["images"][0]["bufferView"]])
+    return (*parts[:2], parts[2].reshape(-1, 3), gdal.Open(name).ReadAsArray())
 
 
 def on_ground(folder, entry, tileset):
@@ -282,74 +253,15 @@ def test_what_cannot_be_written_is_said_and_nothing_is_lost(tmp_path):
         write_tiles3d(str(tmp_path / "nowhere.tif"), str(tmp_path / "tiles"))
 
 
-def tool(package):
-    """The folder of an npm package that 'make tiles3d-tools' has installed."""
-    place = TOOL / "node_modules" / package
-    if shutil.which("node") is None or not place.is_dir():
-        pytest.skip(f"needs Node and the npm package {package}: run 'make tiles3d-tools'")
-    return place
-
-
 def test_the_validator_of_gltf_finds_nothing(made):
-    script = """
-    const fs = require("fs"), validator = require(process.argv[1]);
-    (async () => { for (const path of process.argv.slice(2)) {
-        const found = await validator.validateBytes(new Uint8Array(fs.readFileSync(path)), {uri: path});
-        console.log(JSON.stringify(found.issues)); } })();
-    """
-    tiles = sorted((made[0] / "tiles").iterdir())
-    done = subprocess.run(
-        ["node", "-e", script, str(tool("gltf-validator")), *map(str, tiles)], capture_output=True, text=True
-    )
-    found = [json.loads(line) for line in done.stdout.splitlines()]
-    assert done.returncode == 0 and len(found) == len(tiles), done.stderr
+    found = gltf_issues(sorted((made[0] / "tiles").iterdir()))
     assert {(issue["numErrors"], issue["numWarnings"]) for issue in found} == {(0, 0)}
-
-
-PAGE = """<!DOCTYPE html><script>window.CESIUM_BASE_URL = "/cesium";</script><script src="/cesium/Cesium.js"></script>
-<style>html, body, div, canvas { margin: 0; width: 100%; height: 100%; }</style><div id="globe"></div><script>
-window.failed = [];
-const bare = { baseLayer: false, globe: false, skyBox: false, skyAtmosphere: false };
-const widget = new Cesium.CesiumWidget("globe", bare);
-Cesium.Cesium3DTileset.fromUrl("/tiles/tileset.json", { maximumScreenSpaceError: 1 }).then((tileset) => {
-    tileset.tileFailed.addEventListener((event) => window.failed.push(event.url + event.message));
-    const ready = () => { window.loaded = tileset.statistics.numberOfTilesWithContentReady; };
-    tileset.allTilesLoaded.addEventListener(ready);
-    widget.scene.primitives.add(tileset);
-    const sphere = tileset.boundingSphere, back = new Cesium.HeadingPitchRange(0.4, -1.2, sphere.radius * 2);
-    widget.camera.viewBoundingSphere(sphere, back);
-}, (error) => window.failed.push(String(error)));
-</script>"""
-
-
-class Files(http.server.SimpleHTTPRequestHandler):
-    """The page, CesiumJS and the tileset, from three places."""
-
-    def __init__(self, *arguments, cesium, tiles, **keywords):
-        self.places = {"cesium": cesium, "tiles": tiles}
-        super().__init__(*arguments, **keywords)
-
-    def translate_path(self, path):
-        first, _, rest = path.split("?")[0].lstrip("/").partition("/")
-        return str(self.places[first] / rest) if first in self.places else super().translate_path(path)
-
-    def log_message(self, *_):
-        pass
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(PROGRAM is None, reason="needs Chromium")
 def test_cesium_draws_all_levels(made, tmp_path):
-    cesium = tool("cesium") / "Build" / "Cesium"
-    (tmp_path / "page.html").write_text(PAGE, encoding="utf-8")
-    handler = functools.partial(Files, cesium=cesium, tiles=made[0], directory=str(tmp_path))
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        with Browser(tmp_path / "profile", (800, 600)) as browser:
-            browser.ask("Page.navigate", url=f"http://127.0.0.1:{server.server_port}/page.html")
-            browser.wait("window.loaded || window.failed?.length", 120)
-            assert browser.evaluate("window.failed") == [] and browser.evaluate("window.loaded") >= 5
-            browser.picture(tmp_path / "globe.png")
-        server.shutdown()
-    middle = gdal.Open(str(tmp_path / "globe.png")).ReadAsArray()[:3, 150:450, 200:600].astype(int)
+    loaded, picture = drawn_by_cesium(made[0], tmp_path)
+    middle = picture[:, 150:450, 200:600].astype(int)
+    assert loaded >= 5
     assert (middle.max(axis=0) > 40).mean() > 0.8 and middle.std() > 10, "the surface is in the middle of the picture"
