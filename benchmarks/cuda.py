@@ -1,4 +1,4 @@
-"""COLMAP on CUDA: its PatchMatch beside ``sgm``, its SIFT beside OpenCV's; DSM scores, seconds, GPU memory.
+"""COLMAP's PatchMatch on CUDA beside ``sgm``: DSM scores, seconds, GPU memory for each Mpx.
 
 Needs an NVIDIA GPU and ``pycolmap-cuda12``; where they are not there, the page keeps what the last GPU gave.
 """
@@ -8,19 +8,15 @@ from __future__ import annotations
 import tempfile
 import threading
 import time
-from dataclasses import replace
 from typing import Dict, List, Sequence, Tuple
 
 from benchmarks import towns
-from benchmarks.pointing import cost
-from benchmarks.runner import CORES, Failed, few, pipeline, say, stage
+from benchmarks.runner import Failed, few, pipeline, say, stage
 from benchmarks.scenes import Scene, quick_size, real, simulated, whu_tlc, zy3
 from benchmarks.tables import Section, table
 from repm_qgis.runtime.environment import cuda, gpus
 from repm_qgis.runtime.progress import Recorder, Silent
 from repm_qgis.scene import Scene as SceneFile
-from repm_qgis.stages.parameters import ENGINE, EngineParameters
-from repm_qgis.ties.keypoints import answers
 
 Way = Tuple[str, Dict[str, object]]
 WAYS: Sequence[Way] = (
@@ -34,11 +30,6 @@ BIG = 5120
 HEADERS = (
     "scene | matched by | NMAD, m | bias, m | RMSE, m | within 1 m, % of all cells | with a height, % | matching, s | "
     "GPU memory, GiB | GiB a Mpx"
-)
-
-SIFT_HEADERS = (
-    "scene | SIFT of | ties | vertical parallax, px (median, mean of pairs) | ties and adjustment, s | of CPU, s | "
-    "within 1 m, % of all cells | with a height, %"
 )
 
 
@@ -133,45 +124,4 @@ def beside_sgm() -> List[str]:
     ]
 
 
-def sift_row(scene: Scene, name: str, device: str) -> List[object]:
-    """Ties, adjustment and the DSM by ``sgm`` with the keypoints of OpenCV (``none``) or of COLMAP on a device."""
-    found = cost(scene.images, device)
-    figures = found["figures"]
-    parallax = sum(pair["after_px"] for pair in figures["pairs"]) / len(figures["pairs"])
-    with tempfile.TemporaryDirectory() as work:
-        options = {"resolution": scene.resolution, "backend": "sgm", "parameters": with_sift_on(device)}
-        made = pipeline(scene.images, work, **options)
-        align = "3d" if scene.align else "none"
-        score = stage("comparedsm", dsm=made["output"], reference=scene.reference, align=align, thresholds=(1.0,))
-    accuracy = (score["completeness"], made["valid_percent"])
-    return [scene.name, name, figures["count"], parallax, found["wall"], found["cpu"], *accuracy]
-
-
-def with_sift_on(device: str) -> EngineParameters:
-    """All parameters, and where COLMAP's SIFT runs."""
-    pointing = ENGINE.pointing
-    keypoints = replace(pointing.ties.keypoints, colmap_device=device)
-    return replace(ENGINE, pointing=replace(pointing, ties=replace(pointing.ties, keypoints=keypoints)))
-
-
-def sift() -> List[str]:
-    if not gpus() or not answers("cuda"):
-        say("Not measured, and nothing is written: no CUDA device here passes the self-test of keypoints.")
-        return []
-    ways = (("OpenCV, CPU", "none"), ("COLMAP, CUDA", "cuda"), ("COLMAP, CUDA, again", "cuda"))
-    rows = []
-    for scene, _ in few(scenes()):
-        for way in ways:
-            rows.append(sift_row(scene, *way))
-            say(rows[-1])
-    return [
-        f"Keypoints on {gpus()[0]} with {CORES} cores, and `sgm` with them. The start of COLMAP on the GPU and its "
-        "self-test are included.",
-        table(SIFT_HEADERS, rows),
-    ]
-
-
-SECTIONS = [
-    Section("cuda", "COLMAP's PatchMatch on CUDA", "make bench-cuda", {"cuda": beside_sgm}),
-    Section("cuda_sift", "COLMAP's SIFT on CUDA", "make bench-cuda", {"sift": sift}),
-]
+SECTIONS = [Section("cuda", "COLMAP's PatchMatch on CUDA", "make bench-cuda", {"cuda": beside_sgm})]

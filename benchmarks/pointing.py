@@ -8,12 +8,12 @@ import time
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import Dict, List, Optional, Sequence, Tuple
+from typing import Dict, List, Sequence, Tuple
 
 import numpy as np
 
 from benchmarks.control_bound import DRAWS, controlled
-from benchmarks.pointing_case import Case, case_of, fitted, pointed, truth_scene
+from benchmarks.pointing_case import case_of, fitted, pointed, truth_scene
 from benchmarks.poor_scenes import poor_scenes
 from benchmarks.runner import CORES, alone, few, is_quick, pipeline, stage
 from benchmarks.scenes import SHARED, absent, real, simulated, zy3
@@ -27,13 +27,11 @@ from repm_qgis.planning.pair_selection import choose_pairs, pair_cost
 from repm_qgis.planning.parameters import PLANNING
 from repm_qgis.pointing.adjustment import adjust
 from repm_qgis.pointing.colmap_adjustment import adjust_colmap
-from repm_qgis.pointing.parameters import POINTING
 from repm_qgis.rpc.readers import read_rpc_file
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import Scene as SceneFile
 from repm_qgis.scene import Tile, View
 from repm_qgis.stereo.pairing import convergence
-from repm_qgis.ties.parameters import TIES
 from repm_qgis.ties.tracks import Track
 
 
@@ -158,22 +156,21 @@ def triplet() -> List[str]:
 # Cost -------------------------------------------------------------------------------------------------------------
 
 
-def timed_pointing(path: str, detector: str) -> Dict[str, object]:
-    """Ties and adjustment of a scene with seconds; ``detector`` is none (OpenCV's), or the device of COLMAP's."""
-    keypoints = replace(TIES.keypoints, colmap_device=detector)
+def timed_pointing(path: str) -> Dict[str, object]:
+    """Ties and adjustment of a scene with seconds."""
     scene = replace(SceneFile.load(path), refinement="polynomial")
     wall, before = time.perf_counter(), os.times()
-    found = pointed(scene, parameters=replace(POINTING, ties=replace(POINTING.ties, keypoints=keypoints)))
+    found = pointed(scene)
     wall, after = time.perf_counter() - wall, os.times()
     pointing = {name: A.tolist() for name, A in found.adjusted.pointing.items()}
     cpu = sum(after[:4]) - sum(before[:4])
     return {"wall": wall, "cpu": cpu, "pointing": pointing, "figures": found.figures.to_mapping()}
 
 
-def cost(images: Sequence[str], detector: str = "none") -> Dict[str, object]:
+def cost(images: Sequence[str]) -> Dict[str, object]:
     """The same in a process of its own, with MiB of itself and of a worker."""
     with tempfile.TemporaryDirectory() as folder:
-        used = alone(timed_pointing, str(fitted(images, Path(folder) / "w").path), detector)
+        used = alone(timed_pointing, str(fitted(images, Path(folder) / "w").path))
     return {**used.result, "own": used.mib, "child": used.child_mib}
 
 
@@ -193,40 +190,6 @@ def costs() -> List[str]:
         f"{os.getloadavg()[0]:.1f}); memory of the process plus, where there are worker processes, of as many "
         "of the largest.",
         table("scene | ties | median residual, px | wall, s | CPU, s | memory, MiB | bar", rows),
-    ]
-
-
-def detectors() -> List[str]:
-    """OpenCV's SIFT and COLMAP's, both on the CPU."""
-    scenes: List[Tuple[str, Sequence[str], Optional[Case]]] = [
-        (scene.name, scene.images, None) for scene in few(real("truth_urban", "pleiades_triplet"))
-    ]
-    for label in few(("town", "hills")):
-        case = case_of(label)
-        scenes.append((label, case.images, case))
-    rows = []
-    for label, images, case in scenes:
-        for name, detector in (("opencv", "none"), ("colmap", "cpu")):
-            found = cost(images, detector)
-            pairs, left = found["figures"]["pairs"], ""
-            if case is not None:
-                pointing = {name: np.array(A) for name, A in found["pointing"].items()}
-                left = float(np.median(case.observable_px(pointing)))
-            parallax = float(np.mean([pair["after_px"] for pair in pairs]))
-            ties = (sum(pair["candidates"] for pair in pairs), found["figures"]["count"], parallax)
-            rows.append([label, name, *ties, left, found["cpu"], f"{found['own']:.0f}"])
-    headers = (
-        "scene | SIFT of | matches | ties | vertical parallax, px (median, mean of pairs) | left, px | CPU, s | "
-        "memory, MiB"
-    )
-    return [
-        Details(
-            "**Detectors**: SIFT of OpenCV and of COLMAP (pycolmap, VLFeat's code), both on the CPU with the same "
-            "budget of keypoints; ties and adjustment together, CPU seconds of all threads. Left: where observable, "
-            "shifts of up to 15 px. COLMAP's gives somewhat more ties of the same quality for more time and memory, so "
-            "OpenCV's is the default on the CPU. COLMAP's on a GPU: `make bench-cuda`."
-        ),
-        Details(table(headers, rows)),
     ]
 
 
@@ -331,7 +294,6 @@ PARTS = {
     "triplet": triplet,
     "poor": poor_scenes,
     "cost": costs,
-    "detectors": detectors,
     "routes": two_routes,
     "pairs": pair_selection,
 }

@@ -241,7 +241,6 @@ class PointingFigures(Record):
     """
 
     count: Count
-    detector: str
     before_px: float
     after_px: float
     model: str

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Dict, FrozenSet, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from ..planning.altitudes import ALTITUDES, AltitudeParameters
 from ..planning.height_uncertainty import height_uncertainty
 from ..runtime.progress import Part, Progress
 from ..scene import Scene, View
-from ..ties.keypoints import Detector, with_best_detector
+from ..ties.parameters import TiesParameters
 from ..ties.tie_alignment import align_ties
 from ..ties.tie_points import PairMatches, find_ties
 from ..ties.tracks import Track, tracks_from
@@ -77,30 +78,10 @@ def point_views(
     Raises EmptyResultError with the counts where the ties are too few.
     """
     names = [pair.names for pair in pairs]
-
-    def find(detector: Detector) -> List[PairMatches]:
-        return find_ties(
-            scene,
-            names,
-            stretches,
-            progress=Part(progress, 0.0, 0.7),
-            workers=workers,
-            detector=detector,
-            parameters=parameters.ties,
-        )
-
-    matches, detector = with_best_detector(find, progress, parameters.ties.keypoints)
-    part = Part(progress, 0.7, 0.95)
-    tracks = align_ties(
-        scene,
-        tracks_from(matches),
-        names,
-        stretches=stretches,
-        progress=part,
-        workers=workers,
-        parameters=parameters.ties.alignment,
-    )
-    tracks = with_base(scene.views, tracks, sum(scene.altitudes) / 2, parameters.track_base)
+    search = partial(_aligned_ties, names=names, stretches=stretches, workers=workers)
+    altitude = sum(scene.altitudes) / 2
+    matches, tracks = search(scene, progress=Part(progress, 0.0, 0.95), parameters=parameters.ties)
+    tracks = with_base(scene.views, tracks, altitude, parameters.track_base)
     if len(tracks) < parameters.least_tracks:
         raise EmptyResultError(
             f"Only {len(tracks)} tie points could be aligned at full resolution (needed: {parameters.least_tracks}): "
@@ -109,22 +90,15 @@ def point_views(
     if route == "colmap":
         adjusted = adjust_colmap(scene, tracks, Part(progress, 0.95, 1.0), parameters, altitudes)
     else:
-        adjusted = adjust(scene.views, tracks, sum(scene.altitudes) / 2, model, gcps, parameters)
+        adjusted = adjust(scene.views, tracks, altitude, model, gcps, parameters)
     if adjusted.jitter or (model == "jitter" and can_jitter(scene.views)):
-        more = parameters.with_many_ties()
-        matches, tracks = _more_ties(
-            scene,
-            adjusted,
-            names,
-            stretches=stretches,
-            detector=detector,
-            progress=progress,
-            workers=workers,
-            parameters=more,
-        )
-        adjusted = adjust(scene.views, tracks, sum(scene.altitudes) / 2, model, gcps, parameters)
+        # Waves need many ties, of all lines, which are found where the first adjustment expects them.
+        more, pointed = parameters.with_many_ties(), replace(scene, views=tuple(adjusted.applied(scene.views)))
+        matches, tracks = search(pointed, progress=Part(progress, 0.95, 1.0), parameters=more.ties)
+        tracks = with_base(scene.views, tracks, altitude, more.track_base)
+        adjusted = adjust(scene.views, tracks, altitude, model, gcps, parameters)
     controlled = any(gcp.role == "control" and gcp.pixels for gcp in gcps)
-    require_own_rpcs(scene.views, tracks, sum(scene.altitudes) / 2, progress.warn, parameters, info=progress.info)
+    require_own_rpcs(scene.views, tracks, altitude, progress.warn, parameters, info=progress.info)
     if not controlled:
         _require_small_trends(adjusted, parameters)
     views = adjusted.applied(scene.views)
@@ -132,7 +106,6 @@ def point_views(
     xy = projected_from_geodetic(scene.crs, adjusted.ground)
     figures = PointingFigures(
         count=len(tracks),
-        detector=detector.name,
         before_px=float(np.median(adjusted.before_px)),
         after_px=float(np.median(adjusted.residual_px)),
         model=adjusted.model,
@@ -155,34 +128,28 @@ def point_views(
     return Pointing(views, tracks, adjusted, xy, figures)
 
 
-def _more_ties(
+def _aligned_ties(
     scene: Scene,
-    adjusted: Adjustment,
-    names: Sequence[Tuple[str, str]],
     *,
+    names: Sequence[Tuple[str, str]],
     stretches: Dict[str, Stretch],
-    detector: Detector,
     progress: Progress,
     workers: int,
-    parameters: PointingParameters,
+    parameters: TiesParameters,
 ) -> Tuple[List[PairMatches], List[Track]]:
-    """Ties of all lines, found where a first adjustment with jitter expects them: waves need many, and everywhere."""
-    pointed = replace(scene, views=tuple(adjusted.applied(scene.views)))
-    part = Part(progress, 0.95, 0.98)
-    matches = find_ties(
-        pointed, names, stretches, progress=part, workers=workers, detector=detector, parameters=parameters.ties
-    )
-    part = Part(progress, 0.98, 1.0)
-    aligned = align_ties(
-        pointed,
+    """The matches of pairs, and the tracks that they join to, aligned at full resolution."""
+    searching, aligning = Part(progress, 0.0, 0.74), Part(progress, 0.74, 1.0)
+    matches = find_ties(scene, names, stretches, progress=searching, workers=workers, parameters=parameters)
+    tracks = align_ties(
+        scene,
         tracks_from(matches),
         names,
         stretches=stretches,
-        progress=part,
+        progress=aligning,
         workers=workers,
-        parameters=parameters.ties.alignment,
+        parameters=parameters.alignment,
     )
-    return matches, with_base(scene.views, aligned, sum(scene.altitudes) / 2, parameters.track_base)
+    return matches, tracks
 
 
 def with_base(views: Sequence[View], tracks: Sequence[Track], altitude: float, least: float) -> List[Track]:

@@ -76,7 +76,7 @@ def _metres_per_px(scene: Scene, pair: ViewPair) -> float:
 def _ties(report: Report, scene: Scene, ties: PointingFigures) -> None:
     residual = f"{ties.before_px:.2f} px before, {ties.after_px:.2f} px after the correction"
     facts = [("Tie points", ties.count), ("Median residual", residual)]
-    report.section("Tie points").facts([*facts, ("Keypoints", ties.detector), ("Matcher", scene.backend)])
+    report.section("Tie points").facts([*facts, ("Matcher", scene.backend)])
     rows = []
     for pair in ties.pairs:
         figures = f"{pair.before_px:+.2f}", *fixed(pair.after_px, pair.spread_px)

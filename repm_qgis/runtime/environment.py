@@ -64,7 +64,7 @@ def remedy_for(package: Package) -> str:
     return "install QGIS again with its Python modules: it is part of QGIS's own Python"
 
 
-def fresh_answer(code: str, seconds: float = _ASK_SECONDS, options: tuple[str, ...] = ()) -> str:
+def fresh_answer(code: str, options: tuple[str, ...] = ()) -> str:
     """The output of a fresh interpreter for this code: a crash in a native library stays there. "" on any failure.
 
     ``options`` are the interpreter's own.
@@ -75,7 +75,7 @@ def fresh_answer(code: str, seconds: float = _ASK_SECONDS, options: tuple[str, .
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            timeout=seconds,
+            timeout=_ASK_SECONDS,
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired):

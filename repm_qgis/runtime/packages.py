@@ -36,7 +36,7 @@ PACKAGES = (
     Package("jinja2", "Jinja2", "python3-jinja2", "pages of reports", 0.2, 1.0),
     Package("scipy", "scipy", "python3-scipy", "tie points, simulated scenes", 36.0, 115.0),
     Package("cv2", "opencv-python-headless", "", "keypoints, semi-global matching, resampling", 50.0, 144.0),
-    Package("pycolmap", "pycolmap", "", "tie points, bundle adjustment, matching on CUDA", 38.2, 142.0),
+    Package("pycolmap", "pycolmap", "", "adjustment by COLMAP, scenes for COLMAP, matching on CUDA", 38.2, 142.0),
     Package("laspy", "laspy", "", "point clouds (LAS)", 0.1, 0.5),
     Package("lazrs", "lazrs", "", "compressed point clouds (LAZ)", 0.6, 2.0),
     Package("pyfqmr", "pyfqmr", "", "meshes of few vertices", 0.9, 3.3),

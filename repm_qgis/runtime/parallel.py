@@ -216,8 +216,8 @@ def _begin_to_feed(executor: ProcessPoolExecutor) -> None:
     The executor would start it from a thread of its own with the first task, and Python prints the traceback of one
     that dies.
     """
-    queue = getattr(executor, "_call_queue", None)  # no public name has it
-    if getattr(queue, "_thread", queue) is None:
+    queue: Any = getattr(executor, "_call_queue", None)  # no public name has it
+    if queue is not None and getattr(queue, "_thread", queue) is None:
         with queue._notempty:
             queue._start_thread()
 

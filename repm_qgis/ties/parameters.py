@@ -14,19 +14,10 @@ from ..contracts.parameters import Parameters
 
 @dataclass(frozen=True)
 class KeypointParameters(Parameters):
-    """SIFT (Lowe 2004), by OpenCV or COLMAP."""
+    """SIFT (Lowe 2004)."""
 
     contrast: float = 0.02  # least contrast of a keypoint over the layers of an octave, as OpenCV counts; chosen
     layers: int = 3  # of an octave (Lowe 2004)
-    # Where COLMAP's SIFT runs: "cuda" where a GPU passes the self-test, "cpu" always (more ties for more time; pointing
-    # tables, "Detectors"), "none" never. OpenCV's takes its place.
-    colmap_device: str = "cuda"
-    most_colmap: int = 32768  # keypoints of an image from COLMAP: above this number it keeps the coarse ones
-    strength_window_px: int = 5  # window of the gradients that stand for the strength of COLMAP's keypoints; chosen
-    gpu_workers: int = 4  # processes that share a GPU, each with a context of some hundred MiB there; chosen
-    answer_s: float = 120.0  # how long a device may take to pass the self-test; chosen
-    same_px: float = 0.35  # two detectors' keypoints this close are the same in the self-test: half a pixel fails
-    same_share: float = 0.8  # of OpenCV's keypoints that a device must find: VLFeat and CUDA find 99 %, shifted ones 0
 
 
 @dataclass(frozen=True)

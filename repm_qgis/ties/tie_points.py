@@ -30,8 +30,8 @@ from ..runtime.progress import Part, Progress, counted
 from ..scene import Scene, View, common_gsd_m
 from ..stereo.pairing import ground_points, rectify_over, reductions, refined_view
 from ..stereo.rectification import RectifiedPair
-from .keypoints import CPU_DETECTOR, Detector
-from .parameters import TIES, PatchParameters, TieParameters, TiesParameters
+from .keypoints import detect
+from .parameters import TIES, KeypointParameters, PatchParameters, TieParameters, TiesParameters
 from .tie_patches import BlockPatches, common_ground, covered_by_ties, is_block, ranked_patches, texture_of
 
 _ROWS = 256  # of the matrix of distances that are made at once: they fit into the cache
@@ -73,9 +73,9 @@ class _PatchTask:
     pairs: Tuple[Pair, ...]
     coarsest_m: Tuple[float, ...]
     stretches: Dict[str, Stretch]
-    detector: Detector
     small_px: int
     features: int
+    keypoints: KeypointParameters
     parameters: TieParameters
 
 
@@ -86,16 +86,14 @@ def find_ties(
     *,
     progress: Progress,
     workers: int = 0,
-    detector: Detector = CPU_DETECTOR,
     parameters: TiesParameters = TIES,
 ) -> List[PairMatches]:
     """Match pairs of views on patches spread over the scene; more patches where the first give too few.
 
     Pairs with too few ties are left out where the others connect all their views. ``workers`` 0 means one for each
-    core. Raises DetectorError where the detector's device fails, EmptyResultError with the counts where a pair that is
-    needed has too few ties.
+    core. Raises EmptyResultError with the counts where a pair that is needed has too few ties.
     """
-    patches, ties = parameters.patches, parameters.matches
+    patches, keypoints, ties = parameters.patches, parameters.keypoints, parameters.matches
     names = {name for pair in pairs for name in pair}
     used = {name: stretch for name, stretch in stretches.items() if name in names}
     search = _Search.of(scene, pairs, used, progress, patches)
@@ -110,11 +108,11 @@ def find_ties(
         for place in search.places(number, lacking):
             own = search.pairs(place)
             scales = tuple(coarsest_m[pair] for pair in own)
-            tasks.append(_PatchTask(lean, place, own, scales, used, detector, small_px, features, ties))
+            tasks.append(_PatchTask(lean, place, own, scales, used, small_px, features, keypoints, ties))
         if not tasks:
             break
         part = Part(progress, 1 - 0.5**number, 1 - 0.5 ** (number + 1), "tie points")
-        for found in run_tasks(_match_patch, tasks, detector.workers(workers), part, lambda _: "patch"):
+        for found in run_tasks(_match_patch, tasks, workers, part, lambda _: "patch"):
             for pair, matches in found.items():
                 parts[pair].append(matches)
         kept = {(a, b): consistent_matches(a, b, found, ties) for (a, b), found in parts.items()}
@@ -222,7 +220,7 @@ def _features(task: _PatchTask, view: View, coarsest_m: float) -> Optional[_Feat
     def choose(points: FloatArray, strength: FloatArray) -> Indices:
         return evenly_spread(points, strength, size, most, parameters.buckets)
 
-    found = task.detector.detect(grey, mask, parameters.spare_features * most, choose)
+    found = detect(grey, mask, parameters.spare_features * most, choose=choose, parameters=task.keypoints)
     if len(found.points) < parameters.least_keypoints:
         return None
     return _Features(view, camera, (found.points + 0.5) * factor - 0.5, found.descriptors)
