@@ -363,7 +363,7 @@ def measured() -> Measured:
 # How often a batch's tasks are repeated where the area grows; a number of tasks that stays takes longer.
 _TILES = (MEASURED_TILE_PX / TILE_PX) ** 2
 _BLOCKS = 0.06  # of the coarse surface: 6400 px, of which the images measured fill a part
-GROWING = {"match_pair_over_tile": _TILES, "fuse_to_disk": _TILES, "match_block": _BLOCKS, "stretch": 0.0, "noted": 0.0}
+GROWING = {"match_to_disk": _TILES, "fuse_to_disk": _TILES, "match_block": _BLOCKS, "stretch": 0.0, "noted": 0.0}
 
 
 def scene_of(found: Measured) -> List[Phase]:

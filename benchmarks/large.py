@@ -24,7 +24,7 @@ from benchmarks.tables import Section, table
 from repm_qgis.contracts.documents import JsonObject
 from repm_qgis.imagery.raster import RasterFrame, created
 from repm_qgis.imagery.warping import sample_array
-from repm_qgis.matching.pair_backend import match_pair_over_tile
+from repm_qgis.matching.pair_backend import match_to_disk
 from repm_qgis.rpc import Rpc
 from repm_qgis.rpc.fit import fit_rpc
 from repm_qgis.rpc.writers import rpc_tags
@@ -112,7 +112,7 @@ def one_tile(job: Dict[str, object], folder: str, corrected: bool) -> str:
     scene = SceneFile.load(made["scene"])
     task = MatchedPair(scene, (0, 1)).task
     left = changed(prior={"remove_parallax": False})
-    record = match_pair_over_tile(replace(task, parameters=left, path=f"{folder}/left.tif"))
+    record = match_to_disk(replace(task, parameters=left, path=f"{folder}/left.tif"))
     path = scene.with_tiles(lambda tile: replace(tile, heights=(record,))).save(f"{folder}/left.json")
     return stage("dsmfuse", scene=path, output=f"{folder}/left_dsm.tif", resolution=job["resolution"])["output"]
 

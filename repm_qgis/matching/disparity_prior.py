@@ -16,11 +16,11 @@ import numpy as np
 
 from ..contracts.arrays import Bounds, FloatArray, FloatImage, Floats, Window
 from ..geometry.interpolation import bilinear, interpolate_steps
+from ..geometry.rectification import RectifiedPair
 from ..imagery.parameters import WARPING
 from ..imagery.sampling import median_of_known, median_of_neighbours
 from ..imagery.warping import PixelMap
 from ..numerics.robust import nmad
-from ..stereo.rectification import RectifiedPair
 from ..stereo.triangulation import PairGeometry
 from .disparity_map import PairMatcher
 from .parameters import MATCHING, MatchingParameters, PriorParameters

@@ -15,6 +15,7 @@ from ..contracts.arrays import Altitudes, Bounds, FloatImage, Mask, Size, Window
 from ..contracts.errors import EmptyResultError
 from ..contracts.options import ReconstructOptions
 from ..contracts.records import HeightMapRecord
+from ..geometry.rectification import RectifiedPair
 from ..geometry.refinement import translation
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked
@@ -27,7 +28,6 @@ from ..scene import Scene
 from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, write_height_map
 from ..stereo.pairing import rectified_pair, reductions
 from ..stereo.parameters import STEREO, StereoParameters
-from ..stereo.rectification import RectifiedPair
 from ..stereo.triangulation import PairGeometry, pair_geometry
 from ..stereo.wave_change import WaveGeometry, wave_geometry
 from .backends import MatchingJob, MatchingResult
@@ -83,7 +83,7 @@ class PairBackend:
                 )
                 tasks.append(task)
         try:
-            records = run_tasks(match_pair_over_tile, tasks, _workers(tasks, job, progress), progress, _describe)
+            records = run_tasks(match_to_disk, tasks, _workers(tasks, job, progress), progress, _describe)
         except BaseException:
             drop_temporaries(job.folder)  # a worker that is ended while it writes cannot clean up
             raise
@@ -143,14 +143,34 @@ def _workers(tasks: List[PairTask], job: MatchingJob, progress: Progress) -> int
     return workers_within(job.options.workers, tile_work(math.ceil(side), each), job.options.memory, progress)
 
 
-def match_pair_over_tile(task: PairTask) -> Optional[HeightMapRecord]:
-    """Rectify, match, and turn disparities into heights; gives the height map's record, None without common ground.
+def match_to_disk(task: PairTask) -> Optional[HeightMapRecord]:
+    """Match a tile and keep its height map in a file; gives the record, None without common ground.
 
     A file that an earlier, stopped run has finished is taken as it is (``reused`` in the record).
     """
     done = finished_record(task.path, task.key)
     if done is not None:
         return done
+    tile = match_tile(task)
+    if tile is None:
+        return None
+    return write_height_map(task.path, task.key, tile.record, tile.heights, tile.score, tile.filled)
+
+
+class MatchedTile(NamedTuple):
+    """A pair's ``heights`` over a tile in metres, NaN where there are none, and the ``score`` of each.
+
+    ``filled`` tells which of them a neighbour gave. All are (H, W), in the rectified frame of the record.
+    """
+
+    record: HeightMapRecord
+    heights: FloatImage
+    score: FloatImage
+    filled: Mask
+
+
+def match_tile(task: PairTask) -> Optional[MatchedTile]:
+    """Rectify, match, and turn disparities into heights; None without common ground."""
     pair = rectified_over_tile(task.scene, task.pair, task.bounds, task.altitudes, task.parameters.stereo)
     if pair is None or min(pair.size) < task.parameters.stereo.smallest_px:
         return None
@@ -171,7 +191,7 @@ def match_pair_over_tile(task: PairTask) -> Optional[HeightMapRecord]:
         table_error_m=geometry.error_m,
         altitudes=task.altitudes,
     )
-    return write_height_map(task.path, task.key, record, heights, matched.score, matched.filled)
+    return MatchedTile(record, heights, matched.score, matched.filled)
 
 
 def frame_size(task: PairTask) -> Size:

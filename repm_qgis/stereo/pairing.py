@@ -10,11 +10,11 @@ from ..contracts.arrays import Altitudes, Bounds, FloatArray
 from ..geometry.equivalent_error import RefinedPinhole, fit_pinhole, refine_pinhole, virtual_grid
 from ..geometry.frames import EnuFrame, geodetic_from_projected
 from ..geometry.parameters import VIRTUAL_GRID
+from ..geometry.rectification import RectifiedPair, rectify
 from ..geometry.tiles import pixel_window
 from ..imagery.parameters import SAMPLING
 from ..scene import Scene, View
 from .parameters import STEREO, StereoParameters
-from .rectification import RectifiedPair, rectify
 
 
 def rectified_pair(

@@ -16,9 +16,9 @@ from ..contracts.arrays import Altitudes, FloatArray
 from ..contracts.errors import EmptyResultError
 from ..geometry.frames import projected_from_geodetic
 from ..geometry.interpolation import interpolate_grid
+from ..geometry.rectification import RectifiedPair
 from ..scene import View
 from .parameters import STEREO, StereoParameters
-from .rectification import RectifiedPair
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ import numpy as np
 
 from ..contracts.arrays import Altitudes, FloatArray
 from ..geometry.jitter import Jitter
+from ..geometry.rectification import RectifiedPair
 from ..scene import View
 from .parameters import STEREO, StereoParameters
-from .rectification import RectifiedPair
 from .triangulation import NodeTable, PairGeometry, nodes
 
 

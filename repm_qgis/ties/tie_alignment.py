@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..contracts.arrays import Bounds, ByteImage, FloatArray, FloatImage, Mask, Size
 from ..geometry.frames import projected_from_geodetic
+from ..geometry.rectification import RectifiedPair
 from ..geometry.refinement import translation
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked
@@ -27,7 +28,6 @@ from ..runtime.parallel import run_tasks
 from ..runtime.progress import Progress
 from ..scene import Scene, View
 from ..stereo.pairing import rectified_pair, reductions
-from ..stereo.rectification import RectifiedPair
 from .parameters import TIES, AlignmentParameters
 from .tracks import Track, track_pixels
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..contracts.arrays import Bounds, ByteImage, FloatArray, FloatImage, Mask, Size
 from ..contracts.errors import EmptyResultError
 from ..geometry.equivalent_error import RefinedPinhole
+from ..geometry.rectification import RectifiedPair
 from ..geometry.refinement import apply_homography
 from ..imagery.enhancement import Stretch
 from ..imagery.parameters import SAMPLING
@@ -29,7 +30,6 @@ from ..runtime.parallel import run_tasks
 from ..runtime.progress import Part, Progress, counted
 from ..scene import Scene, View, common_gsd_m
 from ..stereo.pairing import ground_points, rectify_over, reductions, refined_view
-from ..stereo.rectification import RectifiedPair
 from .keypoints import detect
 from .parameters import TIES, KeypointParameters, PatchParameters, TieParameters, TiesParameters
 from .tie_patches import BlockPatches, common_ground, covered_by_ties, is_block, ranked_patches, texture_of

@@ -48,7 +48,7 @@ MATCHING = (
     BEGIN
     + """
 from repm_qgis.imagery.enhancement import view_stretch
-from repm_qgis.matching.pair_backend import PairTask, frame_size, match_pair_over_tile
+from repm_qgis.matching.pair_backend import PairTask, frame_size, match_to_disk
 from repm_qgis.matching.sgm import BACKEND
 x, y = (tile.bounds[0] + tile.bounds[2]) / 2, (tile.bounds[1] + tile.bounds[3]) / 2
 half = side * scene.gsd_m / 2
@@ -56,7 +56,7 @@ first, second = scene.views[:2]
 task = PairTask(BACKEND, scene.lean(), "t", Bounds(x - half, y - half, x + half, y + half),
                 (tile.altitudes[0] - extra, tile.altitudes[1] + extra), (first.name, second.name),
                 tuple(view_stretch(v.image, v.band) for v in (first, second)), f"{out}{side}{extra}.tif", "key")
-record = match_pair_over_tile(task)
+record = match_to_disk(task)
 end(*frame_size(task), (task.altitudes[1] - task.altitudes[0]) / record.metres_per_px)
 """
 )

@@ -13,9 +13,9 @@ import numpy as np
 
 from ..contracts.arrays import FloatArray, Size
 from ..contracts.errors import RpcInvalidError
-from ..geometry.equivalent_error import RefinedPinhole
-from ..geometry.pinhole import PinholeCamera
-from ..geometry.refinement import apply_homography, translation
+from .equivalent_error import RefinedPinhole
+from .pinhole import PinholeCamera
+from .refinement import apply_homography, translation
 
 _SHEARS = 61  # shears that are tried: steps of a hundredth
 
