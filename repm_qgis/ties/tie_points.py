@@ -123,7 +123,7 @@ def find_ties(
     groups = components(sorted(names), enough)
     needed = [pair for pair in pairs if not any(group.issuperset(pair) for group in map(set, groups))]
     for first, second in needed:
-        raise _too_few(scene.view(first), scene.view(second), kept[first, second], parts[first, second], ties)
+        raise _too_few(scene, (first, second), kept[first, second], parts[first, second], ties)
     return [kept[pair] for pair in enough]
 
 
@@ -383,15 +383,19 @@ def parallax_trend(
 
 
 def _too_few(
-    first: View, second: View, found: PairMatches, parts: Sequence[PairMatches], parameters: TieParameters
+    scene: Scene, pair: Pair, found: PairMatches, parts: Sequence[PairMatches], parameters: TieParameters
 ) -> EmptyResultError:
     """The error of a pair whose consistent matches are too few."""
+    first, second = map(scene.view, pair)
+    low, high = scene.altitudes
     candidates = sum(len(part.first_px) for part in parts)
     doubt = foreign_rpc([first, second]) or "Check that each RPC belongs to its image: a crop's often does not."
     return EmptyResultError(
         f"{first.name} and {second.name} have only {len(found.first_px)} consistent tie points, of {candidates} "
         f"candidates in {counted(len(parts), 'place')} (needed: {parameters.least_ties}). {doubt} Do they show the "
-        "same place, in focus and without clouds? Choose another EXTENT with more texture, or another pair."
+        "same place, in focus and without clouds? Choose another EXTENT with more texture, or another pair. They were "
+        f"searched for ground from {low:.0f} to {high:.0f} m above the ellipsoid: where that is wrong, give "
+        "ALTITUDE_MIN and ALTITUDE_MAX, or a DEM."
     )
 
 

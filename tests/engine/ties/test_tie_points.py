@@ -138,6 +138,8 @@ def test_too_few_ties_are_an_error_with_the_counts(found, told, tmp_path, write_
     with pytest.raises(EmptyResultError) as caught:
         find_ties(blind, [tuple(names)], {name: stretches[name] for name in names}, progress=told())
     assert all(name in str(caught.value) for name in names) and "needed: 12" in str(caught.value)
+    low, high = scene.altitudes
+    assert f"for ground from {low:.0f} to {high:.0f} m above the ellipsoid" in str(caught.value)
 
 
 def test_alignment_brings_ties_to_a_tenth_of_a_pixel(found, told):
