@@ -106,6 +106,7 @@ def test_2_mountains(cook):
     assert "Altitudes " in said
 
 
+@pytest.mark.slow
 def test_3_ground_control_points(cook):
     folder, said = cook(3)
     with open(folder / "images" / "gcps.csv", encoding="utf-8") as stream:
@@ -275,6 +276,7 @@ def test_19_two_sensors(cook):
     assert found.nmad < 1.5 and found.completeness[-1][1] > 90.0
 
 
+@pytest.mark.slow
 def test_20_a_quarry_over_three_dates(cook):
     folder, said = cook(20)
     with open(folder / "over_time.csv", encoding="utf-8") as stream:

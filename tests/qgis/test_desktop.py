@@ -61,6 +61,7 @@ def test_the_pipeline_in_the_desktop_brings_styled_layers(desktop, town, tmp_pat
     assert all(layer["valid"] and layer["crs"].startswith("EPSG:326") for layer in layers.values())
 
 
+@pytest.mark.slow
 def test_images_on_an_empty_map(desktop, town):
     """What the area is drawn over: styled layers in the images' UTM zone, before anything is computed."""
     found = desktop("Inspect images", {"IMAGES": town["images"]})

@@ -190,6 +190,7 @@ def test_hillshades_of_older_projects_are_taken_out_of_them(plugin, dsm):
 @pytest.mark.skipif(
     not (shutil.which("xvfb-run") and shutil.which("qgis")), reason="needs QGIS's desktop and xvfb-run ('make setup')"
 )
+@pytest.mark.slow
 @pytest.mark.long
 def test_one_layer_in_the_desktop(desktop_start, dsm, tmp_path):
     found = desktop_start("drive_hillshades.py", {"dsm": dsm, "project": str(tmp_path / "p.qgz")}, seconds=300)

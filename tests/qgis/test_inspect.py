@@ -12,6 +12,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_the_best_images_go_into_the_dialog_by_a_button(sample, desktop_start, tmp_path):
     files = {name: str(tmp_path / file) for name, file in (("FOOTPRINTS", "f.gpkg"), ("REPORT", "images.html"))}

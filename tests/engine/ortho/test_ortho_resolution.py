@@ -166,6 +166,7 @@ def pixels(path):
     return gdal.Open(path).ReadAsArray().astype(float)
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_by_default_it_has_the_finest_images_ground_sampling_distance(town):
     fine, coarse = (gdal.Open(town["made"][cell]["ortho"]) for cell in (0.0, 1.0))

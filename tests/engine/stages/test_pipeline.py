@@ -174,6 +174,7 @@ def test_an_ept_comes_without_a_cloud_too(urban_run, tmp_path, told):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dsm.qml", "dsm.tif", "ept", "m.ply", "m.qml"]
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_a_cloud_as_ply_with_normals_comes_with_an_ept(urban_run, tmp_path, told):
     files = {"output": str(tmp_path / "d.tif"), "cloud": str(tmp_path / "c.ply"), "ept": str(tmp_path / "e")}

@@ -212,6 +212,7 @@ def test_two_clicks_make_a_profile_of_the_dsm(shown, made):
     assert shown.evaluate("document.getElementById('chart').hidden")
 
 
+@pytest.mark.slow
 def test_exaggeration_sun_mouse_and_touch_change_the_view(shown, tmp_path):
     def scale():
         return float(shown.evaluate("parseFloat(document.querySelector('#scale div').style.width)"))
