@@ -18,7 +18,6 @@ class Change(RepmAlgorithm):
     GROUP = "evaluation"
     STEP = 4
     TAGS = "change detection,difference,DoD,volume,cut and fill,quarry,stockpile,level of detection"
-    HEAVY = False
 
     def title(self) -> str:
         return self.tr("Find changes between two dates")

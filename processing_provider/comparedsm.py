@@ -10,8 +10,7 @@ from qgis.core import (
     QgsProcessingParameterString,
 )
 
-from ..repm_qgis.contracts.documents import JsonMapping, JsonObject
-from ..repm_qgis.contracts.file_kinds import is_cloud
+from ..repm_qgis.contracts.documents import JsonObject
 from ..repm_qgis.contracts.options import CompareDsmOptions
 from . import parameters
 from .base import RepmAlgorithm
@@ -32,7 +31,6 @@ class CompareDsm(RepmAlgorithm):
     GROUP = "evaluation"
     STEP = 1
     TAGS = "accuracy,RMSE,NMAD,completeness,co-registration,Nuth,LiDAR"
-    HEAVY = False
 
     def title(self) -> str:
         return self.tr("Compare a DSM with a reference")
@@ -121,11 +119,6 @@ class CompareDsm(RepmAlgorithm):
                 ("COMPLETENESS", self.tr("Completeness at the first threshold (%)")),
             )
         ]
-
-    def runs_apart(self, options: JsonMapping) -> bool:
-        """Points need packages that QGIS's own Python may lack."""
-        surfaces = (options["dsm"], options["reference"], *options["others"])
-        return super().runs_apart(options) or options["align"] == "icp" or any(map(is_cloud, surfaces))
 
     def complete(self, options: JsonObject) -> JsonObject:
         return {**options, "thresholds": thresholds(options["thresholds"])}

@@ -33,7 +33,6 @@ class Series(RepmAlgorithm):
     GROUP = "evaluation"
     STEP = 5
     TAGS = "time series,trend,Theil-Sen,glacier,mass balance,quarry,subsidence,temporal,volume over time"
-    HEAVY = False
 
     def title(self) -> str:
         return self.tr("Follow a surface over many dates")

@@ -353,7 +353,7 @@ def test_cancel_ends_a_real_stage(plugin, feedback, tmp_path):
 
 
 def test_light_stages_run_in_threads_of_pythons(plugin, sample, tmp_path, ears, monkeypatch):
-    """With pyproj 3.7 and newer the second run in the same thread of Qt ended QGIS (3.40: edit or compare twice)."""
+    """With pyproj 3.7 and newer the second run in the same thread of Qt ended QGIS (3.40: edit twice)."""
     from qgis.core import QgsApplication, QgsProcessingAlgRunnerTask, QgsProcessingContext
     from qgis.PyQt.QtCore import QCoreApplication
     from repm.processing_provider import engine
@@ -366,17 +366,17 @@ def test_light_stages_run_in_threads_of_pythons(plugin, sample, tmp_path, ears, 
         return run_stage(*given)
 
     monkeypatch.setattr(stages, "run_stage", spied)
-    algorithm = QgsApplication.processingRegistry().algorithmById("repm:comparedsm")
+    algorithm = QgsApplication.processingRegistry().algorithmById("repm:viewer")
     dsm = shutil.copy(sample["truth"], tmp_path / "dsm.tif")
     for number in range(3):
-        given = {"DSM": str(dsm), "REFERENCE": sample["truth"], "ERROR": str(tmp_path / f"{number}.tif")}
+        given = {"DSM": str(dsm), "VIEWER": str(tmp_path / f"{number}.html")}
         context, feedback, ended = QgsProcessingContext(), ears(), []
-        task = QgsProcessingAlgRunnerTask(algorithm, {**given, "REPORT": ""}, context, feedback)
+        task = QgsProcessingAlgRunnerTask(algorithm, given, context, feedback)
         task.executed.connect(lambda well, _, ended=ended: ended.append(well))
         QgsApplication.taskManager().addTask(task)
         while not ended:
             QCoreApplication.processEvents()
-        assert ended == [True] and (tmp_path / f"{number}.tif").exists(), feedback.heard
+        assert ended == [True] and (tmp_path / f"{number}.html").exists(), feedback.heard
     assert kinds == [threading.Thread] * 3
     raised = []
 
