@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 PYTHON := .venv/bin/python
 
-.PHONY: help setup demo test test-most test-slow test-all bench bench-faults fuzz mutation identity lint lint-viewer tiles3d-tools scan site package models i18n pictures clean
+.PHONY: help setup demo test test-most test-slow test-all bench bench-faults fuzz mutation identity lint lint-viewer tiles3d-tools cityjson-tools scan site package models i18n pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z0-9%-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -30,7 +30,7 @@ test-all: setup ## all of them
 bench: setup ## DSMs of truth scenes and real images, beside S2P's and CARS's where these are on PATH (writes docs/benchmarks.md)
 	@$(PYTHON) benchmarks dsm --write
 
-bench-%: setup ## one subject: ablation answers buildings clouds cluster cluster_plan confidence cuda earthquake epm files frames fusion input jitter large masks matching mosaic ortho_ready orthophoto own_rpcs pointing real registration series speed subpixel tiles towns views water
+bench-%: setup ## one subject: ablation answers beside_open3d building_parts buildings clouds cluster cluster_plan confidence cuda earthquake epm files frames fusion input jitter large masks matching mosaic ortho_ready orthophoto own_rpcs pointing real registration series speed subpixel tiles towns views water
 	@$(PYTHON) benchmarks $* --write
 
 bench-faults: setup ## kills, cancels, full disks, two runs at once, damaged files: tried and held (hours; SHARE=0.1 for a tenth)
@@ -62,6 +62,10 @@ lint-viewer: ## the scripts of the viewer's page: rules and format (Biome), and 
 TILES3D := dist/tiles3d/tool
 tiles3d-tools: ## what the tests of 3-D Tiles take where it is there: Khronos' validator of glTF and CesiumJS; needs Node with npm
 	@mkdir -p $(TILES3D) && npm install --silent --no-package-lock --no-save --prefix $(TILES3D) gltf-validator@2.0.0-dev.3.10 cesium@1.145.0
+
+CITYJSON := dist/cityjson/tool
+cityjson-tools: ## CityJSON's validator cjval, which the tests of buildings take where it is there; needs Rust's cargo
+	@cargo install --quiet --locked --root $(CITYJSON) --features build-binary cjval@0.10.0
 
 scan: setup ## what plugins.qgis.org would find in the zip: Bandit, secrets, names, modes, metadata
 	@$(PYTHON) scripts/scan

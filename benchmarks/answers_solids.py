@@ -187,7 +187,7 @@ def _meshes() -> List[str]:
 # Readers of other programs ----------------------------------------------------------------------------------------
 
 
-def _library(*arguments: str) -> Dict[str, object]:
+def library(*arguments: str) -> Dict[str, object]:
     script = str(ROOT / "benchmarks" / "solids_libraries.py")
     done = subprocess.run([_PYTHON, script, *arguments], capture_output=True, text=True, check=False)
     if done.returncode:
@@ -200,7 +200,7 @@ def _open3d(path: str) -> str:
     if not Path(_PYTHON).is_file():
         return "not tried: REPM_SOLIDS_PYTHON names no Python"
     try:
-        found = _library("read", path)
+        found = library("read", path)
     except Failed as error:
         return f"no: {error}"
     more = [name for name in ("picture", "normals") if found.get(name)]
@@ -271,13 +271,13 @@ def _surfaces() -> List[str]:
             rows = alone(write_thinned, dsm, path, step)
             vertices, faces = rows.result
             simple.append(
-                _mesh_row(f"one of {step} rows and columns", vertices, rows, _library("distance", path, cells))
+                _mesh_row(f"one of {step} rows and columns", vertices, rows, library("distance", path, cells))
             )
             triangles = write_mesh(dsm, path, vertices).faces
             chosen = alone(write_mesh_of, dsm, path, round(vertices * faces / triangles))
-            found = _library("distance", path, cells)
+            found = library("distance", path, cells)
             simple.append(_mesh_row("**MESH_VERTICES, about as many triangles**", chosen.result[0], chosen, found))
-            found = _library("simplify", full, cells, str(faces))
+            found = library("simplify", full, cells, str(faces))
             simple.append(
                 ["open3d's quadric decimation", "", found["triangles"], *found["cells"]]
                 + [f"{found['cpu_s']:.1f}", round(found["mib"])]
@@ -288,7 +288,7 @@ def _surfaces() -> List[str]:
             ("ball pivoting (1, 2, 4 distances of points)", "pivoting", cloud),
         ):
             say(f"solids: {name}")
-            found = _library(kind, path, truth)
+            found = library(kind, path, truth)
             cost = ["", ""] if kind == "distance" else [f"{found['cpu_s']:.1f}", round(found["mib"])]
             surfaces.append([name, found["walls"][1], found["tops"][1], found["walls"][0], found["tops"][0], *cost])
     return [
