@@ -8,6 +8,7 @@ from qgis.core import (
     QgsProcessingContext,
     QgsProcessingFeedback,
     QgsProcessingModelAlgorithm,
+    QgsProcessingParameterDefinition,
     QgsXmlUtils,
 )
 from qgis.PyQt.QtCore import QCoreApplication
@@ -81,18 +82,35 @@ class StagesModel(ShippedModel):
 
 
 class MapModel(ShippedModel):
-    """Contours, slope, hillshade and ruggedness of a DSM, by algorithms of QGIS."""
+    """Contours, slope, hillshade, ruggedness and breaklines of a DSM, by algorithms of QGIS."""
 
     FILE, GROUP, STEP, ICON = "repm_map.model3", "derived", 3, "dsm_to_map.svg"
-    KINDS = {"contours": "contours", "slope": "slope", "hillshade": "shading", "ruggedness": "ruggedness"}
+    KINDS = {
+        "contours": "contours",
+        "slope": "slope",
+        "hillshade": "shading",
+        "ruggedness": "ruggedness",
+        "breaklines": "breaklines",
+    }
     """The kinds of layers by the steps that make them."""
 
     def title(self) -> str:
         return self.tr("Make map layers of a DSM (model)")
 
+    def read(self) -> bool:
+        well = super().read()
+        for output in self.parameterDefinitions():
+            if output.isDestination():  # each layer may be left out, whatever the step that makes it says
+                output.setFlags(output.flags() | QgsProcessingParameterDefinition.Flag.FlagOptional)
+        return well
+
     def processAlgorithm(
         self, parameters: Mapping[str, object], context: QgsProcessingContext, feedback: QgsProcessingFeedback
     ) -> dict[str, object]:
+        # QGIS gives a step the step's own default where a value of the model is not given.
+        inputs = (each for each in self.parameterDefinitions() if not each.isDestination())
+        parameters = {**{each.name(): each.defaultValue() for each in inputs}, **parameters}
+        self._leave_out_unwanted(parameters)
         results = super().processAlgorithm(parameters, context, feedback)
         dsm = self.parameterAsRasterLayer(parameters, "DSM", context)
         run = styles.Run(surface_name(dsm.source()) if dsm is not None else "")
@@ -101,6 +119,17 @@ class MapModel(ShippedModel):
             if kind and path:
                 styles.style_layer(context, feedback, path, path, kind, run, output.description())
         return dict(results)
+
+    def _leave_out_unwanted(self, parameters: Mapping[str, object]) -> None:
+        """Take steps out that no wanted layer needs: GDAL's would fail without the name of a file to write."""
+        children = self.childAlgorithms()
+        wanted = [
+            name for name in children if any(parameters.get(f"{name}:{key}") for key in children[name].modelOutputs())
+        ]
+        needed = set(wanted).union(*(self.dependsOnChildAlgorithms(name) for name in wanted))
+        for name in set(children) - needed:
+            children[name].setActive(False)
+            self.setChildAlgorithm(children[name])
 
 
 MODELS = (StagesModel, MapModel)

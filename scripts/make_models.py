@@ -107,13 +107,14 @@ def stages_model() -> QgsProcessingModelAlgorithm:
 
 
 def map_model() -> QgsProcessingModelAlgorithm:
-    """Contours, slope, hillshade and ruggedness of a DSM, by GDAL's algorithms, which read a raster line by line."""
+    """Contours, slope, hillshade, ruggedness and breaklines of a DSM, by GDAL, which reads a raster line by line."""
     model = QgsProcessingModelAlgorithm("dsm_to_map", "REPM")
     number, double = QgsProcessingParameterNumber, QgsProcessingParameterNumber.Type.Double
     dsm = QgsProcessingParameterRasterLayer("DSM", "DSM")
     interval = number("INTERVAL", "Interval of the contours, m", double, 5.0, False, 0.01)
-    shortest = number("SHORTEST", "Shortest contour, m", double, 50.0, False, 0.0)
-    _add_inputs(model, [dsm, interval, shortest])
+    shortest = number("SHORTEST", "Shortest contour or breakline, m", double, 50.0, False, 0.0)
+    steep = number("STEEP", "Slope at breaklines, degrees", double, 35.0, False, 1.0, 89.0)
+    _add_inputs(model, [dsm, interval, shortest, steep])
     from_dsm, packed = Source.fromModelParameter("DSM"), Source.fromStaticValue("COMPRESS=DEFLATE|TILED=YES")
     lines = {
         "INPUT": from_dsm,
@@ -121,12 +122,9 @@ def map_model() -> QgsProcessingModelAlgorithm:
         "FIELD_NAME": Source.fromStaticValue("height"),
     }
     _step(model, 0, "lines", "gdal:contour", "Draw all contours", lines)
-    long_enough = {
-        "INPUT": Source.fromChildOutput("lines", "OUTPUT"),
-        "EXPRESSION": Source.fromExpression("'length($geometry) >= ' || @SHORTEST"),
-    }
-    contours = {"OUTPUT": ("CONTOURS", "Contours")}
-    _step(model, 1, "contours", "native:extractbyexpression", "Keep the long contours", long_enough, contours)
+    length, extract = Source.fromExpression("'length($geometry) >= ' || @SHORTEST"), "native:extractbyexpression"
+    long_enough = {"INPUT": Source.fromChildOutput("lines", "OUTPUT"), "EXPRESSION": length}
+    _step(model, 1, "contours", extract, "Keep the long contours", long_enough, {"OUTPUT": ("CONTOURS", "Contours")})
     raster = {"INPUT": from_dsm, "COMPUTE_EDGES": Source.fromStaticValue(True), "OPTIONS": packed}
     many = {**raster, "MULTIDIRECTIONAL": Source.fromStaticValue(True)}
     slope, shading, rough = (
@@ -137,15 +135,28 @@ def map_model() -> QgsProcessingModelAlgorithm:
     _step(model, 3, "hillshade", "gdal:hillshade", "Hillshade from several directions", many, shading)
     ruggedness = "gdal:triterrainruggednessindex"
     _step(model, 4, "ruggedness", ruggedness, "Terrain ruggedness index (TRI)", raster, rough)
+    # Not the step "slope": QGIS 3.22 does not run a step whose layer is left out, though another step needs it.
+    _step(model, 5, "steepness", "gdal:slope", "Slope for the breaklines", raster)
+    at_one_slope = {
+        "INPUT": Source.fromChildOutput("steepness", "OUTPUT"),
+        "INTERVAL": Source.fromStaticValue(90.0),  # no second line: slopes are below 90 degrees
+        "OFFSET": Source.fromModelParameter("STEEP"),
+        "FIELD_NAME": Source.fromStaticValue("slope"),
+    }
+    _step(model, 6, "edges", "gdal:contour", "Draw lines around steep places", at_one_slope)
+    breaklines = {"INPUT": Source.fromChildOutput("edges", "OUTPUT"), "EXPRESSION": length}
+    named = {"OUTPUT": ("BREAKLINES", "Breaklines")}
+    _step(model, 7, "breaklines", extract, "Keep the long breaklines", breaklines, named)
     _describe(
         model,
         "Make map layers of a DSM (model)",
         "The layers that a map needs, made of a DSM or DTM by QGIS's own algorithms: contours, the slope in degrees, "
-        "a hillshade with light from several directions, and the terrain ruggedness index, which is high at edges and "
-        "walls. The heights must be in metres, and the CRS a projected one: degrees would make the slopes wrong. "
-        "Contours that are shorter than the shortest are left out: they are single trees, cars and errors of a few "
-        "cells. Each output can be skipped. To change a step, click with the right mouse button on the model in the "
-        "toolbox and choose 'Copy to my models and edit…'. A copy's layers have QGIS's usual styles.",
+        "a hillshade with light from several directions, the terrain ruggedness index, which is high at edges and "
+        "walls, and breaklines: the upper and lower rims of banks and walls, where the slope passes a limit. "
+        "The heights must be in metres, and the CRS a projected one: degrees would make the slopes wrong. "
+        "Contours and breaklines that are shorter than the shortest are left out: they are single trees, cars and "
+        "errors of a few cells. Each output can be skipped. To change a step, click with the right mouse button on "
+        "the model in the toolbox and choose 'Copy to my models and edit…'. A copy's layers have QGIS's usual styles.",
     )
     return model
 

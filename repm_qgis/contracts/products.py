@@ -67,6 +67,7 @@ STYLES = (
     Style("volumes"),
     Style("buildings"),
     Style("contours"),
+    Style("breaklines"),
     Style("significant", "diverging", template="ramp", unit=" m"),
     Style(
         "significant_level",

@@ -24,8 +24,9 @@ LAYERS = {
     "slope:SLOPE": "slope.tif",
     "hillshade:HILLSHADE": "hillshade.tif",
     "ruggedness:RUGGEDNESS": "ruggedness.tif",
+    "breaklines:BREAKLINES": "breaklines.gpkg",
 }
-TITLES = ["Contours north", "Slope north", "Ruggedness north", "Hillshade north"]
+TITLES = ["Contours north", "Breaklines north", "Slope north", "Ruggedness north", "Hillshade north"]
 
 
 def plane(x, y):
@@ -97,7 +98,7 @@ def test_the_model_is_valid_and_of_algorithms_that_every_qgis_has(model):
     assert model.groupId() == "derived" and pathlib.Path(model.svgIconPath()).exists() and not model.icon().isNull()
     copy = model.create()  # its parameters live as long as it does
     shown = {each.name(): each for each in copy.parameterDefinitions() if not each.isDestination()}
-    assert list(shown) == ["DSM", "INTERVAL", "SHORTEST"]
+    assert list(shown) == ["DSM", "INTERVAL", "SHORTEST", "STEEP"]
     assert "in metres" in model.shortHelpString()
     assert (shown["INTERVAL"].defaultValue(), shown["SHORTEST"].defaultValue()) == (5.0, 50.0)
 
@@ -107,8 +108,8 @@ def test_it_speaks_german(german):
     assert model.displayName() == "3.3 Kartenlayer aus einem DOM erzeugen (Modell)"
     labels = [each.description() for each in model.parameterDefinitions()]
     assert labels == [
-        "DOM", "Äquidistanz der Höhenlinien, m", "Kürzeste Höhenlinie, m",
-        "Höhenlinien", "Schummerung", "Rauheit", "Neigung",
+        "DOM", "Äquidistanz der Höhenlinien, m", "Kürzeste Höhenlinie oder Bruchkante, m",
+        "Neigung an Bruchkanten, Grad", "Bruchkanten", "Höhenlinien", "Schummerung", "Rauheit", "Neigung",
     ]  # fmt: skip
 
 
@@ -149,17 +150,38 @@ def test_contours_lie_at_their_heights_and_leave_out_what_is_small(made):
 
 
 @pytest.mark.long
+def test_breaklines_are_the_rims_of_what_is_steep(made):
+    """The plane has 27 degrees, the cone 45 up to 8 m from its middle, and a wall stands between plane and flat."""
+    results, _ = made
+    source = ogr.Open(results["breaklines:BREAKLINES"])
+    lines = [np.array(each.GetGeometryRef().GetPoints())[:, :2] for each in source.GetLayer(0)]
+    away = [np.hypot(x - (WEST + 180.0), y - (NORTH - 60.0)) for x, y in (line.T for line in lines)]
+    (rim,) = [each for each in away if each.max() < 20.0]
+    assert abs(rim.mean() - 8.0) < CELL and rim.max() < 8.0 + CELL, "a slope is that of 3 x 3 cells"
+    rest = np.concatenate([line for line, each in zip(lines, away) if each.max() >= 20.0])
+    holes = np.hypot(rest[:, 0] - (WEST + 44.0), rest[:, 1] - (NORTH - 64.0)) < 12.0
+    assert (np.abs(rest[~holes][:, 0] - (WEST + 120.0)) < 2 * CELL).all() and (~holes).any()
+
+
+@pytest.mark.long
 def test_layers_are_styled_named_and_in_one_group(made):
     _, project = made
     (group,) = project.layerTreeRoot().children()
     layers = [node.layer() for node in group.findLayers()]
     assert (group.name(), [layer.name() for layer in layers]) == ("north", TITLES)
     kinds = [layer.renderer().type() for layer in layers]
-    assert kinds == ["singleSymbol", "singlebandpseudocolor", "singlebandpseudocolor", "singlebandgray"]
+    assert kinds == ["singleSymbol", "singleSymbol", "singlebandpseudocolor", "singlebandpseudocolor", "singlebandgray"]
     assert layers[0].labelsEnabled() and layers[0].labeling().settings().fieldName == "height"
-    low, high = layers[1].renderer().classificationMin(), layers[1].renderer().classificationMax()
+    low, high = layers[2].renderer().classificationMin(), layers[2].renderer().classificationMax()
     assert low == 0 and 25 < high < 90
-    assert all(isinstance(layer, QgsRasterLayer) and layer.isValid() for layer in layers[1:])
+    assert all(isinstance(layer, QgsRasterLayer) and layer.isValid() for layer in layers[2:])
+
+
+def test_a_layer_can_be_left_out_although_another_is_made_of_it(model, dsm, feedback, tmp_path):
+    wanted = {"breaklines:BREAKLINES": str(tmp_path / "breaklines.gpkg")}
+    results, project = run_as_the_dialog(model, dsm, feedback, wanted)
+    assert ogr.Open(results["breaklines:BREAKLINES"]).GetLayer(0).GetFeatureCount() and len(project.mapLayers()) == 1
+    project.clear()
 
 
 def test_layers_that_are_not_kept_leave_no_style_where_qgis_was_started(model, dsm, feedback, tmp_path, monkeypatch):

@@ -50,7 +50,7 @@ def test_every_style_has_its_template_and_every_template_its_style():
     assert used - {""} == templates
     layers = {style.kind for style in STYLES if not style.view_of and not style.plain}
     # Drawn over the DSM; a layer for each date in the folder of a series; layers of the model "DSM to map".
-    without_product = {"hillshade", "dated", "contours", "slope", "ruggedness", "shading"}
+    without_product = {"hillshade", "dated", "contours", "breaklines", "slope", "ruggedness", "shading"}
     assert {product.style for product in PRODUCTS if product.style} == layers - without_product
     assert {style.view_of for style in STYLES if style.view_of} < layers
 
