@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, TypeVar
 
 from repm_qgis.runtime.parallel import cores
+from repm_qgis.runtime.process_limits import bound_cache
 from repm_qgis.runtime.progress import Progress, Silent
 from repm_qgis.stages import run_stage
 from repm_qgis.stages.parameters import ENGINE, EngineParameters
@@ -104,6 +105,7 @@ def answer(module: str, function: str, arguments: str) -> None:
     """The other side of ``alone``. The process ends here: what is cleaned up after it is not measured."""
     import resource  # which Windows lacks, where tests import other parts of this module
 
+    bound_cache()  # as the engine's own process does
     result = getattr(import_module(module), function)(*json.loads(arguments))
     used = resource.getrusage(resource.RUSAGE_SELF)
     # The peak of getrusage would begin with the memory of the process that started this one.

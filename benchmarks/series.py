@@ -159,4 +159,8 @@ def cost() -> List[str]:
     return ["One process, without confidences and areas.", table("series | CPU s | peak MiB", rows)]
 
 
-SECTIONS = [Section("series", "A surface over many dates", "make bench-series", {"accuracy": accuracy, "cost": cost})]
+_COMMAND = "make bench-series"
+SECTIONS = [
+    Section("series", "A surface over many dates", _COMMAND, {"accuracy": accuracy}),
+    Section("series_cost", "What a surface over many dates costs", _COMMAND, {"cost": cost}),
+]
