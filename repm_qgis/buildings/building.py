@@ -104,8 +104,9 @@ def building_of(
     block = solid([whole(footprint)], [Plane(round(float(median), 3), 0.0, 0.0)], round(ground, 3), patch.frame.origin)
     if not is_closed(block):
         return None
-    roofed, residual = _roofed(footprint, patch, planes, ground, level, noise, parameters)
-    error = _error(patch, known, residual, ground_error)
+    expected = _expected(patch, known)
+    roofed, residual = _roofed(footprint, patch, planes, ground, level, expected, parameters)
+    error = math.hypot(residual if math.isnan(expected) else expected, ground_error)
     return Building(
         number=number,
         outline=bytes(footprint.ExportToWkb()),
@@ -183,14 +184,12 @@ def _ground_error(patch: _Patch, cell: float, parameters: BuildingParameters) ->
     return nmad(above[ring].astype(np.float64), 0.0) if ring.sum() > choices.least_cells else 0.0
 
 
-def _error(patch: _Patch, known: Mask, residual: float, ground: float) -> float:
-    """The standard error of a height above the ground, m: that of the roof and that of the ground, independent. The
-    roof's is what the DSM expects, or else how the cells spread about the roof's model: neighbours share errors, so
-    many cells are no surer than one."""
+def _expected(patch: _Patch, known: Mask) -> float:
+    """The error that the DSM expects of a roof, m; NaN where it says none. Neighbours share errors, so many cells are
+    no surer than one."""
     expected = patch.cells.error[known]
     expected = expected[np.isfinite(expected)]
-    roof = float(np.median(expected)) if expected.size else residual
-    return math.hypot(roof, ground)
+    return float(np.median(expected)) if expected.size else math.nan
 
 
 def _roofed(
@@ -199,11 +198,12 @@ def _roofed(
     roof: RoofPlanes,
     ground: float,
     level: float,
-    noise: float,
+    expected: float,
     parameters: BuildingParameters,
 ) -> Tuple[List[Face], float]:
     """The solid with the roof's planes and the spread of the heights about them; no solid, and the spread about one
-    height, where that is as good."""
+    height, where that is as good, or where what the planes explain is no more than the expected error: a false match
+    is as smooth as a roof."""
     if not roof.planes or (len(roof.planes) == 1 and kind_of(roof.planes, parameters.roofs) == FLAT):
         return [], level
     origin = patch.frame.origin
@@ -219,6 +219,7 @@ def _roofed(
         return [], level
     away = spread(patch.roof.height[known].astype(np.float64), modelled[known])
     better = away < parameters.roofs.better * level and level - away > max(parameters.roofs.better_m, 0.0)
+    better &= math.isnan(expected) or level**2 - away**2 > expected**2
     faces = solid(parts, roof.planes, round(ground, 3), origin) if better else []
     valid = faces and is_closed(faces) and all(map(is_flat, faces)) and volume(faces) > 0
     return (faces, away) if valid else ([], level)

@@ -1,7 +1,7 @@
 """What any CityJSON 2.0 file of solids must be, checked from the file alone and by nothing of the engine.
 
 The structure is that of https://www.cityjson.org/specs/2.0.1/, the geometry that of ISO 19107 as val3dity asks for it:
-closed shells, every edge twice and in opposite directions, faces that are flat and look outward.
+closed shells, every edge twice and in opposite directions, faces that are flat, valid polygons and look outward.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import re
 from collections import Counter
 
 import numpy as np
+from osgeo import ogr
 
 SURFACES = {"GroundSurface", "WallSurface", "RoofSurface"}
 
@@ -68,6 +69,20 @@ def _face(kind, rings, flat_m):
     up = normal[2] / size
     assert up > 0.1 if kind == "RoofSurface" else up < -0.999 if kind == "GroundSurface" else abs(up) < 1e-3
     assert all(vector_area(hole) @ normal < 0 for hole in rings[1:])
+    assert _on_its_plane(rings, normal / size).IsValid(), "rings cross neither themselves nor each other"
+
+
+def _on_its_plane(rings, normal):
+    """A face as a polygon of two coordinates: GEOS judges it by the OGC's rules, as val3dity does (its codes 2xx)."""
+    east = np.cross([0.0, 0.0, 1.0], normal) if abs(normal[2]) < 0.9 else np.cross([0.0, 1.0, 0.0], normal)
+    axes = np.array([east / np.linalg.norm(east), np.cross(normal, east / np.linalg.norm(east))])
+    made = ogr.Geometry(ogr.wkbPolygon)
+    for ring in rings:
+        line = ogr.Geometry(ogr.wkbLinearRing)
+        for x, y in (ring - rings[0][0])[[*range(len(ring)), 0]] @ axes.T:
+            line.AddPoint_2D(float(x), float(y))
+        made.AddGeometry(line)
+    return made
 
 
 def vector_area(ring):

@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
+import subprocess
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +21,7 @@ from repm_qgis.runtime.progress import Silent
 from repm_qgis.stages import run_stage
 from tests.engine.buildings.cityjson_checks import checked, volume
 
+TOOL = Path(__file__).resolve().parents[3] / "dist" / "cityjson" / "tool"
 CELL, SIDE = 0.5, 300
 WEST, NORTH = 500000.0, 4800000.0
 PLACE = (WEST, CELL, 0.0, NORTH, 0.0, -CELL)
@@ -163,6 +167,27 @@ def test_the_file_says_its_reference_systems(village):
     assert {each["attributes"]["heights_above"] for each in city["CityObjects"].values()} == {ELLIPSOID}
 
 
+def test_the_validator_of_cityjson_finds_nothing(village, tmp_path):
+    program = shutil.which("cjval") or shutil.which("cjval", path=str(TOOL / "bin"))
+    if program is None:
+        pytest.skip("needs CityJSON's validator cjval: run 'make cityjson-tools', which needs Rust's cargo")
+    city = village[2][0]
+    assert any(solid["lod"] == "2.2" for each in city["CityObjects"].values() for solid in each["geometry"])
+    report = validated(program, city, tmp_path)
+    assert report["valid"] and not report["has_warnings"], report["checks"]
+    city = json.loads(json.dumps(city))
+    city["CityObjects"]["building-1"]["geometry"][0]["boundaries"][0][0][0][0] = len(city["vertices"])
+    assert not validated(program, city, tmp_path)["valid"], "it finds a corner that is not there"
+
+
+def validated(program, city, folder):
+    """What cjval says about a city."""
+    path = folder / "city.json"
+    path.write_text(json.dumps(city), encoding="utf-8")
+    done = subprocess.run([program, str(path), "--report"], capture_output=True, encoding="utf-8", check=True)
+    return json.loads(done.stdout)
+
+
 def test_a_compound_reference_system_has_its_own_code(tmp_path):
     base = ground()
     dsm = written(tmp_path / "dsm.tif", [built(base, HOUSES[:1])], crs="EPSG:7415", metadata={})
@@ -266,6 +291,16 @@ def test_the_stated_error_is_that_of_the_confidence_and_of_the_ground(tmp_path):
     confidence = written(tmp_path / "confidence.tif", [np.full(base.shape, 0.6)])
     _, found, _ = made(tmp_path, surface, base, confidence=confidence)
     assert found[0][0]["error_m"] == pytest.approx(math.hypot(0.6, 0.2), rel=0.1)
+
+
+@pytest.mark.parametrize("expected_m, lod", [(0.3, 2), (3.0, 1)])
+def test_a_slope_within_the_expected_error_is_no_roof(tmp_path, expected_m, lod):
+    base, house = ground(), HOUSES[3]
+    error = np.where(house.inside(), expected_m, 0.1)  # the slope's heights are spread by 1.8 m
+    confidence = written(tmp_path / "confidence.tif", [error])
+    _, found, (_, solids) = made(tmp_path, built(base, [house]), base, confidence=confidence)
+    assert [fields["lod"] for fields, _ in found] == [lod]
+    assert set(solids["building-1"]) == ({"1.2", "2.2"} if lod == 2 else {"1.2"})
 
 
 def test_the_terrain_is_made_where_none_is_given(tmp_path):
