@@ -22,7 +22,7 @@ from . import __version__
 from .contracts.arrays import FloatArray, Size, Window
 from .contracts.checks import Choice, Misfit, Number, file_name, mapping, member, shown, typed
 from .contracts.documents import JsonMapping, JsonObject
-from .contracts.errors import ImageError, OptionError, RpcInvalidError, SceneError, SceneVersionError
+from .contracts.errors import ImageError, OptionError, RpcInvalidError, SceneError, SceneVersionError, reason_of
 from .contracts.options import BACKENDS, MODELS, PRESETS
 from .contracts.records import (
     FilePath,
@@ -529,7 +529,7 @@ def _document(path: str) -> JsonObject:
         with open(path, encoding="utf-8") as stream:
             document = json.load(stream)
     except OSError as error:
-        raise SceneError(f"Cannot read the scene '{path}' ({error.strerror or error}): {_CHOOSE}") from error
+        raise SceneError(f"Cannot read the scene '{path}' ({reason_of(error)}): {_CHOOSE}") from error
     except (ValueError, RecursionError) as error:
         raise SceneError(f"The scene '{path}' is not a JSON file ({error}): {_CHOOSE}") from error
     if not isinstance(document, dict) or document.get("format") != "repm-scene":

@@ -11,7 +11,7 @@ import re
 import numpy as np
 
 from ..contracts.arrays import FloatImage, Size
-from ..contracts.errors import ImageError
+from ..contracts.errors import ImageError, reason_of
 
 _HEADER = re.compile(rb"(\d{1,6})&(\d{1,6})&(\d{1,2})&")
 _HEADER_BYTES = 24
@@ -43,5 +43,5 @@ def read_map(path: str, size: Size) -> FloatImage:
     except ImageError:
         raise
     except OSError as error:
-        raise ImageError(f"Cannot read the map '{path}' ({error.strerror or error}): reconstruct again.") from error
+        raise ImageError(f"Cannot read the map '{path}' ({reason_of(error)}): reconstruct again.") from error
     return values.astype(np.float32).reshape(height, width)

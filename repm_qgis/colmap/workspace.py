@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from ..contracts.arrays import FloatArray, FloatImage, Mask
-from ..contracts.errors import WorkspaceError
+from ..contracts.errors import WorkspaceError, reason_of
 from ..imagery.enhancement import Stretch
 from ..imagery.raster import opened_masked
 from ..imagery.warping import warp
@@ -79,7 +79,7 @@ def _write_png(path: str, pixels: FloatImage) -> None:
         with open(path, "wb") as stream:
             stream.write(cv2.imencode(".png", grey, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
     except OSError as error:
-        raise WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): is the disk full?") from error
+        raise WorkspaceError(f"Cannot write '{path}' ({reason_of(error)}): is the disk full?") from error
 
 
 def _reconstruction(scene: Scene, tile: TileFrame, parameters: TrackParameters) -> Any:

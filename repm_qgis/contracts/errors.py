@@ -6,6 +6,9 @@ from :class:`RepmError` and from the builtin that fits, so library users may cat
 
 from __future__ import annotations
 
+import errno
+import os
+
 from .data_folder import IN_WHEEL
 
 INSTALL_REMEDY = (
@@ -109,3 +112,11 @@ class Cancelled(RepmError):
 
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), ()
+
+
+def reason_of(error: OSError) -> str:
+    """Why the system refused; where something is absent in the same words on each system, which translations know.
+
+    Windows has words of its own there, in the language of the system.
+    """
+    return os.strerror(error.errno) if error.errno == errno.ENOENT else error.strerror or str(error)

@@ -23,7 +23,7 @@ from osgeo import gdal
 
 from ..contracts.arrays import FloatArray
 from ..contracts.documents import JsonObject
-from ..contracts.errors import RpcInvalidError, RpcMissingError
+from ..contracts.errors import RpcInvalidError, RpcMissingError, reason_of
 from .model import Rpc
 
 Node = List[Any]
@@ -518,7 +518,7 @@ def _content(path: str) -> bytes:
         with open(path, "rb") as stream:
             data = stream.read(MAX_FILE_BYTES + 1)
     except OSError as error:
-        raise RpcMissingError(f"Cannot read the RPC file '{path}' ({error.strerror or error}).") from error
+        raise RpcMissingError(f"Cannot read the RPC file '{path}' ({reason_of(error)}).") from error
     if len(data) > MAX_FILE_BYTES:
         raise RpcInvalidError(f"it is larger than {MAX_FILE_BYTES >> 20} MiB, which no RPC file is.")
     return data

@@ -24,7 +24,7 @@ from distributed.security import Security
 from osgeo import gdal
 
 from ..contracts.documents import JsonObject
-from ..contracts.errors import ClusterError
+from ..contracts.errors import ClusterError, reason_of
 from .parallel import R, T, do_task, packed, use_workers
 from .process_limits import prepare_process
 from .progress import Progress
@@ -192,7 +192,7 @@ def _unusable_here(files: Dict[str, int], probes: Dict[str, str]) -> List[Tuple[
         try:
             found = _size(path)
         except OSError as error:
-            wrong.append((path, error.strerror or str(error)))
+            wrong.append((path, reason_of(error)))
             continue
         if size not in (-1, found):
             wrong.append((path, f"it has {found} bytes there, and {size} here"))
@@ -205,7 +205,7 @@ def _unusable_here(files: Dict[str, int], probes: Dict[str, str]) -> List[Tuple[
             answer.write_text(text, encoding="ascii")
             answer.unlink()
         except OSError as error:
-            wrong.append((os.path.dirname(path), error.strerror or str(error)))
+            wrong.append((os.path.dirname(path), reason_of(error)))
     return wrong
 
 

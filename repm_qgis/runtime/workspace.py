@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Callable, Dict, FrozenSet, Iterable, Iterator, List, Optional, Set
 
 from .. import __version__
-from ..contracts.errors import Cancelled, RepmError, WorkspaceError
+from ..contracts.errors import Cancelled, RepmError, WorkspaceError, reason_of
 from ..contracts.paths import real_path
 from . import windows
 
@@ -75,7 +75,7 @@ def ensure_folder(path: str) -> Path:
         if error.errno in OF_THE_DISK or _is_too_long(path, error):
             raise cannot_write(path, error) from error
         raise WorkspaceError(
-            f"Cannot write into the folder '{path}' ({error.strerror or error}): choose another one, "
+            f"Cannot write into the folder '{path}' ({reason_of(error)}): choose another one, "
             "or change its permissions."
         ) from error
     return folder
@@ -365,7 +365,7 @@ def cannot_write(path: str, error: OSError, written: int = 0) -> WorkspaceError:
             f"Cannot write '{path}': this process has too many open files: raise the limit (ulimit -n), or use fewer "
             "workers."
         )
-    return WorkspaceError(f"Cannot write '{path}' ({error.strerror or error}): choose another place.")
+    return WorkspaceError(f"Cannot write '{path}' ({reason_of(error)}): choose another place.")
 
 
 def not_written(path: str, reason: str, temporary: str = "") -> WorkspaceError:

@@ -42,7 +42,10 @@ def write_hdf5(path, arrays):
 def reader(request, monkeypatch):
     """Both ways to read; GDAL without its drivers leaves h5py."""
     if request.param == "h5py":
-        pytest.importorskip("h5py", reason="the package h5py is not installed: it is read where GDAL has no HDF5")
+        try:
+            pytest.importorskip("h5py", reason="the package h5py is not installed: it is read where GDAL has no HDF5")
+        except ValueError as error:  # h5py is for a GDAL without HDF5, and then there is one such library
+            pytest.skip(f"GDAL has loaded its hdf5.dll, and a process has one library of a name: {error}")
         monkeypatch.setattr(lasers, "_DRIVERS", ())
 
 
