@@ -46,7 +46,7 @@ CASES = (
     Case("6 dates, 20 % of each missing", 6, holes=0.2),
     Case("12 dates", 12, sigma=(0.2, 0.3)),
 )
-LARGE = (Case("6 dates, 1 Mcell", 6, side=1000), Case("6 dates, 9 Mcells", 6, side=3000))
+LARGE = tuple(Case(f"6 dates, {side**2 / 1e6:g} Mcells", 6, side=side) for side in (1000, 3000, 5000))
 
 
 def _dome(side: int) -> np.ndarray:
