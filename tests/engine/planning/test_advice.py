@@ -19,7 +19,7 @@ from repm_qgis.planning.pair_selection import choose_pairs
 from repm_qgis.scene import Scene, Tile
 
 PAIR = ViewPair("img_01", "img_02", 20.0, 0.35, 4, days=0.0001, sun_deg=0.1, shadow=0.01)
-NO_TIES = PointingFigures(0, "", 0.0, 0.0, "", "", {}, ())
+NO_TIES = PointingFigures(0, 0.0, 0.0, "", "", {}, ())
 
 
 @pytest.fixture

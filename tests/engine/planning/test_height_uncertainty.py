@@ -21,7 +21,7 @@ def figures_of(views, shifts, tied=None):
     names = [view.name for view in views]
     pairs = tied or [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
     return PointingFigures(
-        40, "SIFT", 0.0, 0.0, "shift", "", shifts, tuple(PairFigures(pair, 40, 40, 0.0, 0.0, 0.0) for pair in pairs)
+        40, 0.0, 0.0, "shift", "", shifts, tuple(PairFigures(pair, 40, 40, 0.0, 0.0, 0.0) for pair in pairs)
     )
 
 

@@ -33,7 +33,7 @@ def figures_of(views, ground, uncertain=0.0):
     names = [view.name for view in views]
     pairs = tuple(PairFigures((a, b), 40, 40, 0.0, 0.0, 0.0) for a, b in zip(names, names[1:]))
     shifts = {name: (0.0, 0.0) for name in names}
-    made = PointingFigures(40, "SIFT", 0.0, 0.0, "shift", "", shifts, pairs, ground_m=ground)
+    made = PointingFigures(40, 0.0, 0.0, "shift", "", shifts, pairs, ground_m=ground)
     return replace(made, height_uncertainty_m=uncertain)
 
 

@@ -54,7 +54,7 @@ def test_a_scene_takes_its_heights_along(urban, ground):
     lon, lat = urban.views[0].rpc.lon_off, urban.views[0].rpc.lat_off
     area = box(bounds).ExportToWkt()
     points = (GcpFigures("A", "control", False, 0.5, -0.25, 1.0),)
-    ties = PointingFigures(0, "", 0.0, 0.0, "", "", {}, (), gcps=points)
+    ties = PointingFigures(0, 0.0, 0.0, "", "", {}, (), gcps=points)
     scene = Scene(list(urban.views), EnuFrame(lon, lat), urban.crs, area, (140.0, 260.0), [tile], pointing=ties)
     moved, error = moved_scene(scene, GroundShift((5.0, -3.0, 7.0), (0.0, 0.0)))
     assert moved.altitudes == (147.0, 267.0) and moved.tiles[0].altitudes == (157.0, 257.0) and error < 0.01
