@@ -18,6 +18,7 @@ import open3d
 import trimesh
 
 _DEPTH, _THIN = 9, 0.02  # of Poisson's octree, and the share of its vertices of least density, which hang in the air
+_ROUNDED_M = 0.001  # of the corners in a CityJSON file
 _RADII = (1.0, 2.0, 4.0)  # of the pivoting balls, in distances between points
 _NEIGHBOURS = 16  # of a point whose normal is estimated, as our own parts have
 _TRIES, _MOST_PLANES = 1000, 8  # planes that RANSAC tries for each one that it keeps, and how many a roof may have
@@ -213,8 +214,28 @@ def shells(path: str) -> Dict[str, object]:
             found["solids"] += 1
             found["closed"] += mesh.is_edge_manifold(allow_boundary_edges=False)
             found["oriented"] += mesh.is_orientable()
-            found["apart"] += not mesh.is_self_intersecting()
+            corners_of = np.asarray(mesh.vertices)[np.asarray(mesh.triangles)]
+            # open3d also names triangles that only touch: a place is rounded to a millimetre, and lies beside a line.
+            pairs = np.asarray(mesh.get_self_intersecting_triangles()).reshape(-1, 2)
+            found["apart"] += all(_depth_m(corners_of[a], corners_of[b]) < _ROUNDED_M for a, b in pairs)
     return found
+
+
+def _depth_m(first: np.ndarray, second: np.ndarray) -> float:
+    """How far an edge of one triangle (3, 3) goes through the other one, and how far from that one's rim, m."""
+    deepest = 0.0
+    for edges, face in ((first, second), (second, first)):
+        normal = np.cross(face[1] - face[0], face[2] - face[0])
+        normal /= np.linalg.norm(normal) or 1.0
+        for start, end in zip(edges, np.roll(edges, -1, axis=0)):
+            above, below = (start - face[0]) @ normal, (end - face[0]) @ normal
+            if above * below < 0:
+                place = start + above / (above - below) * (end - start)
+                sides = np.roll(face, -1, axis=0) - face
+                inward = np.cross(normal, sides / np.linalg.norm(sides, axis=1, keepdims=True))
+                rim = ((place - face) * inward).sum(axis=1).min()
+                deepest = max(deepest, min(abs(above), abs(below), rim))
+    return deepest
 
 
 def _triangles(corners: np.ndarray, face: Any, divided: Callable[..., np.ndarray]) -> np.ndarray:
