@@ -412,6 +412,17 @@ def foreign_entries(path: str | os.PathLike[str], is_ours: Callable[[str], bool]
         raise cannot_write(str(path), error) from error
 
 
+def require_no_strangers(folder: Path, is_ours: Callable[[str], bool], stranger: str, *, option: str) -> None:
+    """Raise WorkspaceError where replacing a folder would lose an entry that is not ours.
+
+    ``stranger`` says what such an entry is ("does not belong to an EPT"), and ``option`` is that of the folder.
+    """
+    others = foreign_entries(folder, is_ours)
+    if others:
+        reason = f"holds '{others[0]}', which {stranger} and would be lost"
+        raise WorkspaceError(f"The folder '{folder}' {reason}: choose a new or empty folder for {option}.")
+
+
 def size_of(path: str) -> int:
     """The bytes of a file, or of all files in a folder."""
     inside = [path, *(os.path.join(place, name) for place, _, names in os.walk(path) for name in names)]

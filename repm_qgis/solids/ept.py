@@ -21,10 +21,10 @@ import pyproj
 
 from ..contracts.arrays import FloatArray, IntArray
 from ..contracts.documents import JsonObject
-from ..contracts.errors import EmptyResultError, WorkspaceError
+from ..contracts.errors import EmptyResultError
 from ..files.las import laz_backend, required_laspy
 from ..runtime.progress import Progress, Silent
-from ..runtime.workspace import foreign_entries, whole_folder
+from ..runtime.workspace import require_no_strangers, whole_folder
 from .derived import FinishedDsm
 from .octree import COLOURED, RECORD, SPAN_BITS, Cube, Octree, Place, Points
 from .parameters import SOLIDS, EptParameters
@@ -125,11 +125,7 @@ def write_ept(
 
 def require_ept_place(path: str) -> None:
     """Check that a folder that an EPT replaces holds nothing else; raises WorkspaceError."""
-    folder = Path(path)
-    others = foreign_entries(folder, _ENTRIES.__contains__)
-    if others:
-        reason = f"holds '{others[0]}', which does not belong to an EPT and would be lost"
-        raise WorkspaceError(f"The folder '{folder}' {reason}: choose a new or empty folder for EPT.")
+    require_no_strangers(Path(path), _ENTRIES.__contains__, "does not belong to an EPT", option="EPT")
 
 
 def _chunks(reader: Any, kind: "np.dtype[np.void]", count: int) -> Iterator[Points]:

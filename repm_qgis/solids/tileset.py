@@ -23,11 +23,10 @@ import pyproj
 
 from ..contracts.arrays import AnyArray, FloatArray
 from ..contracts.documents import JsonObject
-from ..contracts.errors import WorkspaceError
 from ..geometry.frames import EnuFrame, flat_crs, geodetic_from_projected
 from ..geometry.vertical import ELLIPSOID, HeightDatum, stated_datum
 from ..runtime.progress import Progress
-from ..runtime.workspace import foreign_entries
+from ..runtime.workspace import require_no_strangers
 
 _ENTRIES = ("tileset.json", "tiles")
 _BOX_MARGIN = 1e-6  # of its size: vertices are in single precision
@@ -35,11 +34,7 @@ _BOX_MARGIN = 1e-6  # of its size: vertices are in single precision
 
 def require_tiles3d_place(path: str) -> None:
     """Check that a folder that a tileset replaces holds nothing else; raises WorkspaceError."""
-    folder = Path(path)
-    others = foreign_entries(folder, _ENTRIES.__contains__)
-    if others:
-        reason = f"holds '{others[0]}', which does not belong to a tileset and would be lost"
-        raise WorkspaceError(f"The folder '{folder}' {reason}: choose a new or empty folder for TILES3D.")
+    require_no_strangers(Path(path), _ENTRIES.__contains__, "does not belong to a tileset", option="TILES3D")
 
 
 @dataclass(frozen=True)

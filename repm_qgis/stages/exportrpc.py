@@ -9,7 +9,7 @@ from typing import Dict, List
 import numpy as np
 
 from .. import __version__
-from ..contracts.errors import RpcInvalidError, WorkspaceError
+from ..contracts.errors import RpcInvalidError
 from ..contracts.options import ExportRpcOptions
 from ..geometry.frames import EnuFrame
 from ..imagery.raster import opened
@@ -20,7 +20,7 @@ from ..reports.verdict import of_rpcs
 from ..rpc.correction import corrected, of_projected
 from ..rpc.writers import rpb_text, rpc_tags, rpc_txt
 from ..runtime.progress import Progress, counted
-from ..runtime.workspace import foreign_entries, whole_folder, write_text
+from ..runtime.workspace import require_no_strangers, whole_folder, write_text
 from ..scene import Scene, View
 
 _LIST = "rpcs.json"
@@ -105,10 +105,7 @@ def _record(exported: ExportedRpc) -> Dict[str, object]:
 def _require_place(folder: Path) -> None:
     """Raise WorkspaceError where replacing the folder would delete anything but an earlier export."""
     known = {_LIST, *(name + end for name in _listed(folder / _LIST) for end in ("", ".aux.xml", ".ovr"))}
-    others = foreign_entries(folder, known.__contains__)
-    if others:
-        reason = f"holds '{others[0]}', which does not belong to an export of RPCs and would be lost"
-        raise WorkspaceError(f"The folder '{folder}' {reason}: choose a new or empty folder for RPC_FOLDER.")
+    require_no_strangers(folder, known.__contains__, "does not belong to an export of RPCs", option="RPC_FOLDER")
 
 
 def _listed(path: Path) -> List[str]:
