@@ -18,6 +18,12 @@ from qgis.core import (
     QgsProcessingAlgorithm,
     QgsProcessingContext,
     QgsProcessingFeedback,
+    QgsProcessingOutputFile,
+    QgsProcessingOutputHtml,
+    QgsProcessingOutputMultipleLayers,
+    QgsProcessingOutputNumber,
+    QgsProcessingOutputRasterLayer,
+    QgsProcessingOutputVectorLayer,
     QgsProcessingParameterDefinition,
     QgsProcessingParameterFile,
     QgsVectorLayer,
@@ -25,8 +31,11 @@ from qgis.core import (
 from qgis.PyQt.QtCore import QCoreApplication, QUrl
 from qgis.PyQt.QtGui import QIcon
 
+from ..repm_qgis.contracts import results
 from ..repm_qgis.contracts.documents import JsonMapping, JsonObject
 from ..repm_qgis.contracts.products import products_of
+from ..repm_qgis.contracts.results import PipelineResult, Result
+from ..repm_qgis.contracts.stages import STAGES, Stage
 from ..repm_qgis.runtime.translation import written_in
 from . import engine, helppages, last_scene, settings, styles
 from .helptext import to_html
@@ -46,6 +55,14 @@ GROUPS = {
     "surface": "Stage by stage: surface",
 }
 """The groups of the toolbox by their ids, in the order of the work."""
+_OUTPUTS = {
+    results.NUMBER: QgsProcessingOutputNumber,
+    results.FILE: QgsProcessingOutputFile,
+    results.PAGE: QgsProcessingOutputHtml,
+    results.RASTER: QgsProcessingOutputRasterLayer,
+    results.VECTOR: QgsProcessingOutputVectorLayer,
+    results.LAYERS: QgsProcessingOutputMultipleLayers,
+}
 
 
 def group_title(group: str) -> str:
@@ -158,6 +175,10 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         own = QCoreApplication.translate(type(self).__name__, text)
         return own if own != text else QCoreApplication.translate(RepmAlgorithm.__name__, text)
 
+    def stage(self) -> Stage[Any]:
+        """The engine's stage: its options and its result."""
+        return STAGES[self.ID]
+
     def parameters(self) -> list[QgsProcessingParameterDefinition]:
         """The parameters in the dialog's order; every call makes new ones."""
         raise NotImplementedError
@@ -169,8 +190,9 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             self.addOutput(output)
 
     def extra_outputs(self) -> list:
-        """Outputs that are no destination parameters."""
-        return []
+        """Outputs that are no destination parameters: the fields of the stage's result that have a label."""
+        fields = self.stage().result.outputs()
+        return [_OUTPUTS[each.kind](name.upper(), tr(each.label)) for name, each in fields.items()]
 
     def checkParameterValues(self, parameters: JsonMapping, context: QgsProcessingContext) -> tuple[bool, str]:
         """Files and layers as QGIS knows them are checked here, all values by the engine's options."""
@@ -179,7 +201,6 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             if problem:
                 return False, problem
         from ..repm_qgis.contracts.errors import RepmError
-        from ..repm_qgis.stages import STAGES
         from ..repm_qgis.stages.early import require_sensible
 
         given = {
@@ -189,7 +210,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         }
         try:
             options = self.complete(given)
-            engine.in_python_thread(lambda: require_sensible(STAGES[self.ID].from_json(options)))
+            engine.in_python_thread(lambda: require_sensible(self.stage().options.from_json(options)))
         except RepmError as error:
             return False, said(str(error))
         return super().checkParameterValues(parameters, context)
@@ -315,23 +336,15 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         options = dict(self._inputs)
         options.update({name.lower(): os.path.abspath(path) if path else None for name, path in kept_as.items()})
         result = self.run_stage(self.complete(options), feedback)
-        # Folders are results too, where a stage does not name them itself.
-        folders = {
-            definition.name().lower(): options[definition.name().lower()]
-            for definition in self.destinationParameterDefinitions()
-            if definition.type() == "folderDestination"
-        }
-        made = {**folders, **result}
-        outputs = {
-            output.name(): made[output.name().lower()]
-            for output in self.outputDefinitions()
-            if made.get(output.name().lower()) is not None
-        }
-        run = styles.Run(self._scene_name(options), self._days(options, result))
+        fields = result.to_mapping()
+        made = {output.name(): fields[output.name().lower()] for output in self.outputDefinitions()}
+        # QGIS takes a product that was not made, and a figure that is unknown, for what is not in the results.
+        outputs = {name: value for name, value in made.items() if value is not None}
+        run = styles.Run(self._scene_name(options), self._days(options, fields))
         for product in products_of(self.ID):
             name = product.option.upper()
             if product.style and outputs.get(name):
-                datum = result.get("vertical_datum") if product.style == "dsm" else ""
+                datum = fields.get("vertical_datum") if product.style == "dsm" else ""
                 styles.style_layer(
                     context,
                     feedback,
@@ -342,10 +355,10 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
                     title=tr(product.layer or product.title),
                     more=said(datum) if datum else "",
                 )
-        if isinstance(result.get("seconds"), dict):
+        if isinstance(result, PipelineResult):
             feedback.pushInfo(
                 self.tr("Seconds: {stages}").format(
-                    stages=", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result["seconds"].items())
+                    stages=", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result.seconds.items())
                 )
             )
         self._scene = outputs.get("OUTPUT_SCENE") or outputs.get("SCENE")
@@ -368,10 +381,10 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         """Whether a run takes a process of its own, with the engine's own packages."""
         return self.HEAVY or bool(options.get("cluster"))
 
-    def run_stage(self, options: JsonMapping, feedback: QgsProcessingFeedback) -> JsonObject:
+    def run_stage(self, options: JsonMapping, feedback: QgsProcessingFeedback) -> Result:
         run = engine.run_apart if self.runs_apart(options) else engine.run_here
         with engine.sigterm_cancels(feedback):
-            return run(self.ID, options, feedback)
+            return run(self.stage(), options, feedback)
 
     def _scene_name(self, options: JsonMapping) -> str:
         """The scene that a run belongs to, "" where its files and folders do not name it."""

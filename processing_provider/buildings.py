@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from qgis.core import QgsProcessingOutputNumber
-
 from ..repm_qgis.contracts.options import BuildingsOptions
 from . import parameters
 from .base import RepmAlgorithm
@@ -65,12 +63,4 @@ class Buildings(RepmAlgorithm):
             ),
             parameters.cluster(),
             *(parameters.product(self.ID, name) for name in ("output", "cityjson", "report")),
-        ]
-
-    def extra_outputs(self) -> list:
-        return [
-            QgsProcessingOutputNumber("N_BUILDINGS", self.tr("Number of buildings")),
-            QgsProcessingOutputNumber("N_ROOFED", self.tr("Buildings with the planes of their roofs")),
-            QgsProcessingOutputNumber("AREA_M2", self.tr("Area of all footprints (m²)")),
-            QgsProcessingOutputNumber("VOLUME_M3", self.tr("Volume of all buildings (m³)")),
         ]

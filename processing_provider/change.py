@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Mapping
 
-from qgis.core import QgsProcessingOutputNumber
-
 from ..repm_qgis.contracts.options import ChangeOptions
 from . import parameters
 from .base import RepmAlgorithm
@@ -66,19 +64,6 @@ class Change(RepmAlgorithm):
             ),
             parameters.cluster(),
             *(parameters.product(self.ID, name) for name in ("output", "significant", "volumes", "report")),
-        ]
-
-    def extra_outputs(self) -> list:
-        return [
-            QgsProcessingOutputNumber(name, label)
-            for name, label in (
-                ("CHANGES", self.tr("Number of significant changes")),
-                ("GAINED_M3", self.tr("Volume gained (m³)")),
-                ("GAINED_DEVIATION_M3", self.tr("Its standard deviation (m³)")),
-                ("LOST_M3", self.tr("Volume lost (m³)")),
-                ("LOST_DEVIATION_M3", self.tr("Its standard deviation (m³)")),
-                ("LEVEL_M", self.tr("Level of detection, median (m)")),
-            )
         ]
 
     def _scene_name(self, options: Mapping[str, object]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from qgis.core import (
-    QgsProcessingOutputNumber,
     QgsProcessingParameterFile,
 )
 
@@ -46,25 +45,4 @@ class CheckGcps(RepmAlgorithm):
             ),
             parameters.gcp_datum(),
             *(parameters.product(self.ID, name) for name in ("output", "report")),
-        ]
-
-    def extra_outputs(self) -> list:
-        by = {
-            "RPC": self.tr("RPC localisation"),
-            "COMPENSATED": self.tr("RPCs with image-space compensation"),
-            "SCENE": self.tr("the scene's pointing"),
-            "DSM": self.tr("the DSM"),
-        }
-        return [
-            QgsProcessingOutputNumber(
-                f"{name}_{output}", self.tr("{figure} of heights by {source} (m)").format(figure=figure, source=source)
-            )
-            for name, source in by.items()
-            for output, figure in (("MEDAE", "MedAE"), ("RMSE", "RMSE"), ("LE90", "LE90"), ("MAX", "Max"))
-        ] + [
-            QgsProcessingOutputNumber(
-                f"{name}_CE90", self.tr("CE90 of positions by {source} (m)").format(source=source)
-            )
-            for name, source in by.items()
-            if name != "DSM"
         ]

@@ -6,7 +6,6 @@ import re
 
 from qgis.core import (
     QgsProcessing,
-    QgsProcessingOutputNumber,
     QgsProcessingParameterString,
 )
 
@@ -105,19 +104,6 @@ class CompareDsm(RepmAlgorithm):
             ),
             parameters.cluster(),
             *(parameters.product(self.ID, name) for name in ("error", "report")),
-        ]
-
-    def extra_outputs(self) -> list:
-        return [
-            QgsProcessingOutputNumber(name, label)
-            for name, label in (
-                ("RMSE", self.tr("RMSE (m)")),
-                ("MEDAE", self.tr("Median absolute error (m)")),
-                ("MAE", self.tr("Mean absolute error (m)")),
-                ("NMAD", self.tr("Normalised median absolute deviation (m)")),
-                ("LE90", self.tr("LE90 (m): nine of ten heights are off by no more")),
-                ("COMPLETENESS", self.tr("Completeness at the first threshold (%)")),
-            )
         ]
 
     def complete(self, options: JsonObject) -> JsonObject:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from qgis.core import QgsProcessingOutputNumber
-
 from . import parameters
 from .base import RepmAlgorithm
 
@@ -34,6 +32,3 @@ class DsmFuse(RepmAlgorithm):
             parameters.cluster(),
             *parameters.dsm_products(),
         ]
-
-    def extra_outputs(self) -> list:
-        return [QgsProcessingOutputNumber("VALID_PERCENT", self.tr("Cells with a height (%)"))]

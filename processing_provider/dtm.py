@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from qgis.core import (
-    QgsProcessingOutputNumber,
     QgsProcessingParameterFile,
 )
 
@@ -83,10 +82,4 @@ class Dtm(RepmAlgorithm):
             ),
             parameters.cluster(),
             *(parameters.product(self.ID, name) for name in ("output", "heights", "mask", "report")),
-        ]
-
-    def extra_outputs(self) -> list:
-        return [
-            QgsProcessingOutputNumber("OBJECTS_PERCENT", self.tr("Heights that belong to objects (%)")),
-            QgsProcessingOutputNumber("VALID_PERCENT", self.tr("Cells with a terrain (%)")),
         ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from qgis.core import QgsProcessing, QgsProcessingOutputNumber
+from qgis.core import QgsProcessing
 
 from . import parameters
 from .base import RepmAlgorithm
@@ -44,10 +44,4 @@ class EditDsm(RepmAlgorithm):
                 self.tr("The raster that was written with the DSM. It is not changed."),
             ),
             *(parameters.product(self.ID, name) for name in ("output", "edited_confidence")),
-        ]
-
-    def extra_outputs(self) -> list:
-        return [
-            QgsProcessingOutputNumber("EDITS", self.tr("Number of edits")),
-            QgsProcessingOutputNumber("EDITED_CELLS", self.tr("Cells that edits cover")),
         ]

@@ -23,6 +23,7 @@ from qgis.core import QgsApplication, QgsProcessingException, QgsProcessingFeedb
 from qgis.PyQt.QtCore import QCoreApplication, QProcess, QProcessEnvironment
 
 from ..repm_qgis.contracts.documents import JsonMapping, JsonObject
+from ..repm_qgis.contracts.stages import R, Stage
 from ..repm_qgis.installer.environments import usable, user_home
 from ..repm_qgis.installer.interpreter import candidates, is_program, program_in, variables
 from ..repm_qgis.installer.pip import without_password
@@ -136,14 +137,14 @@ def in_python_thread(call: Callable[[], _Result]) -> _Result:
     return made[0]
 
 
-def run_here(stage: str, options: JsonMapping, feedback: QgsProcessingFeedback) -> JsonObject:
+def run_here(stage: Stage[R], options: JsonMapping, feedback: QgsProcessingFeedback) -> R:
     """Run a light stage in QGIS's process. Expected failures become QgsProcessingException with one sentence."""
     from ..repm_qgis.contracts.errors import RepmError
     from ..repm_qgis.runtime.translation import written_in
     from ..repm_qgis.stages import run_stage
 
     try:
-        with written_in(language(), labels(stage)):
+        with written_in(language(), labels(stage.name)):
             return run_stage(stage, options, FeedbackProgress(feedback, said))
     except RepmError as error:
         raise _failure(str(error)) from None
@@ -159,18 +160,18 @@ def run_here(stage: str, options: JsonMapping, feedback: QgsProcessingFeedback) 
 
 
 def run_apart(
-    stage: str, options: JsonMapping, feedback: QgsProcessingFeedback, python: Optional[str] = None
-) -> JsonObject:
+    stage: Stage[R], options: JsonMapping, feedback: QgsProcessingFeedback, python: Optional[str] = None
+) -> R:
     """Run a heavy stage in a process of its own and give its result; raises QgsProcessingException."""
     python = python or find_python()
     start = time.time()
     given = {**options, "language": language()}
-    job = json.dumps({**given, "labels": labels(stage)})
+    job = json.dumps({**given, "labels": labels(stage.name)})
     # Without the labels, which are the same in each run and would fill the log, and without a proxy's password.
     shown = {**given, "proxy": without_password(given["proxy"])} if given.get("proxy") else given
-    feedback.pushDebugInfo(f"{python} -m repm_qgis {stage} - <<< {shlex.quote(json.dumps(shown))}")
+    feedback.pushDebugInfo(f"{python} -m repm_qgis {stage.name} - <<< {shlex.quote(json.dumps(shown))}")
     try:
-        return _EngineProcess(stage, python, job).result(feedback)
+        return stage.result.from_mapping(_EngineProcess(stage.name, python, job).result(feedback))
     except QgsProcessingException:
         remove_half_written(options, start)
         raise

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from qgis.core import QgsProcessingOutputFile, QgsProcessingOutputNumber
-
 from . import parameters
 from .base import RepmAlgorithm
 
@@ -39,11 +37,4 @@ class EpmFit(RepmAlgorithm):
             parameters.ortho_ready_height(),
             *parameters.tiles_and_budget(),
             *(parameters.product(self.ID, name) for name in ("workspace", "tiles", "report")),
-        ]
-
-    def extra_outputs(self) -> list:
-        return [
-            QgsProcessingOutputFile("SCENE", self.tr("Scene")),
-            QgsProcessingOutputNumber("RMSE", self.tr("Equivalent error, RMSE (px)")),
-            QgsProcessingOutputNumber("MAX_ERROR", self.tr("Equivalent error, largest (px)")),
         ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from qgis.core import QgsProcessingOutputNumber, QgsProcessingParameterString
+from qgis.core import QgsProcessingParameterString
 
 from ..repm_qgis.contracts.options import ErrorMapOptions
 from . import parameters
@@ -38,10 +38,4 @@ class ErrorMap(RepmAlgorithm):
                 self.tr("Metres above the WGS 84 ellipsoid. Empty: the middle of the scene's range."),
             ),
             *(parameters.product(self.ID, name) for name in ("output", "report")),
-        ]
-
-    def extra_outputs(self) -> list:
-        return [
-            QgsProcessingOutputNumber("RMSE", self.tr("Equivalent error, RMSE (px)")),
-            QgsProcessingOutputNumber("MAX_ERROR", self.tr("Equivalent error, largest (px)")),
         ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from qgis.core import (
-    QgsProcessingOutputNumber,
     QgsProcessingParameterString,
 )
 
@@ -68,6 +67,3 @@ class ExportCameras(RepmAlgorithm):
             parameters.advanced(parameters.kernel()),
             parameters.product(self.ID, "folder"),
         ]
-
-    def extra_outputs(self) -> list:
-        return [QgsProcessingOutputNumber("IMAGES", self.tr("Number of images"))]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from qgis.core import QgsProcessingOutputMultipleLayers, QgsProcessingOutputNumber
-
 from . import parameters
 from .base import RepmAlgorithm
 
@@ -27,10 +25,4 @@ class ExportRpc(RepmAlgorithm):
         return [
             parameters.scene(self.tr("Reconstructed scene")),
             *(parameters.product(self.ID, name) for name in ("rpc_folder", "report")),
-        ]
-
-    def extra_outputs(self) -> list:
-        return [
-            QgsProcessingOutputMultipleLayers("IMAGES", self.tr("Images with corrected RPCs")),
-            QgsProcessingOutputNumber("MAX_ERROR", self.tr("Largest difference from the pointed model (px)")),
         ]

@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-from qgis.core import (
-    QgsProcessingOutputMultipleLayers,
-    QgsProcessingOutputNumber,
-)
-
 from . import parameters
 from .base import RepmAlgorithm
 
@@ -31,12 +26,4 @@ class Inspect(RepmAlgorithm):
             parameters.images(least=1),
             parameters.rpcs(),
             *(parameters.product(self.ID, name) for name in ("footprints", "overlaps", "report")),
-        ]
-
-    def extra_outputs(self) -> list:
-        return [
-            QgsProcessingOutputNumber("N_IMAGES", self.tr("Number of images that can be used")),
-            QgsProcessingOutputNumber("N_PAIRS", self.tr("Number of pairs that are worth matching")),
-            QgsProcessingOutputMultipleLayers("PAIR", self.tr("Images of the best pair")),
-            QgsProcessingOutputMultipleLayers("TRIPLET", self.tr("Images of the best triplet")),
         ]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from qgis.core import (
     QgsProcessing,
-    QgsProcessingOutputNumber,
     QgsProcessingParameterCrs,
     QgsProcessingParameterMultipleLayers,
 )
@@ -80,9 +79,3 @@ class Mosaic(RepmAlgorithm):
         from ..repm_qgis.names import mosaic_name
 
         return mosaic_name(options["output"] or "", [*options["dsms"], *options["scenes"]])
-
-    def extra_outputs(self) -> list:
-        return [
-            QgsProcessingOutputNumber("VALID_PERCENT", self.tr("Cells with a height (%)")),
-            QgsProcessingOutputNumber("SEAM", self.tr("Difference of two DSMs along the seams, median (m)")),
-        ]

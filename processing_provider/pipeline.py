@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Mapping
 
-from qgis.core import QgsProcessingOutputFile, QgsProcessingOutputNumber
-
 from ..repm_qgis.contracts.options import PRESETS
 from . import parameters
 from .base import RepmAlgorithm
@@ -61,13 +59,6 @@ class Pipeline(RepmAlgorithm):
             dsm,
             *(parameters.product(self.ID, name) for name in ("workspace", "report", "tiles", "tie_points")),
             *extras,
-        ]
-
-    def extra_outputs(self) -> list:
-        return [
-            QgsProcessingOutputFile("SCENE", self.tr("Scene")),
-            QgsProcessingOutputNumber("N_TIE_POINTS", self.tr("Number of tie points")),
-            QgsProcessingOutputNumber("VALID_PERCENT", self.tr("Cells with a height (%)")),
         ]
 
     def left_to_engine(self, parameters: Mapping[str, object]) -> set[str]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from qgis.core import QgsProcessingOutputHtml, QgsProcessingOutputNumber
-
 from . import parameters
 from .base import RepmAlgorithm
 
@@ -39,10 +37,4 @@ class Reconstruct(RepmAlgorithm):
             *parameters.patch_match(),
             parameters.cluster(),
             *(parameters.product(self.ID, name) for name in ("output_scene", "tie_points", "heights")),
-        ]
-
-    def extra_outputs(self) -> list:
-        return [
-            QgsProcessingOutputHtml("REPORT", self.tr("Report of the matching")),
-            QgsProcessingOutputNumber("N_TIE_POINTS", self.tr("Number of tie points")),
         ]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from qgis.core import QgsProcessingOutputNumber
-
 from . import parameters
 from .base import RepmAlgorithm
 
@@ -31,10 +29,4 @@ class Refine(RepmAlgorithm):
             parameters.advanced(parameters.order()),
             parameters.advanced(parameters.kernel()),
             *(parameters.product(self.ID, name) for name in ("output_scene", "report")),
-        ]
-
-    def extra_outputs(self) -> list:
-        return [
-            QgsProcessingOutputNumber("RMSE", self.tr("Remaining equivalent error, RMSE (px)")),
-            QgsProcessingOutputNumber("MAX_ERROR", self.tr("Remaining equivalent error, largest (px)")),
         ]

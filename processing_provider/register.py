@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from qgis.core import (
     QgsProcessing,
-    QgsProcessingOutputNumber,
     QgsProcessingParameterMultipleLayers,
 )
 
@@ -61,19 +60,4 @@ class Register(RepmAlgorithm):
             ),
             parameters.cluster(),
             *(parameters.product(self.ID, name) for name in ("output_scene", "differences", "offsets", "report")),
-        ]
-
-    def extra_outputs(self) -> list:
-        names = {"EAST": self.tr("to the east"), "NORTH": self.tr("to the north"), "UP": self.tr("up")}
-        return [
-            *(
-                QgsProcessingOutputNumber(name, self.tr("Added {direction} (m)").format(direction=text))
-                for name, text in names.items()
-            ),
-            *(
-                QgsProcessingOutputNumber(
-                    f"{name}_DEVIATION", self.tr("Standard deviation {direction} (m)").format(direction=text)
-                )
-                for name, text in names.items()
-            ),
         ]

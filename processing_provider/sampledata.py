@@ -7,9 +7,6 @@ import os
 from qgis.core import (
     QgsProcessingContext,
     QgsProcessingFeedback,
-    QgsProcessingOutputMultipleLayers,
-    QgsProcessingOutputRasterLayer,
-    QgsProcessingOutputVectorLayer,
     QgsProcessingUtils,
 )
 from qgis.PyQt.QtCore import QUrl, QUrlQuery
@@ -54,13 +51,6 @@ class SampleData(RepmAlgorithm):
                 SampleDataOptions, "seed", self.tr("Seed"), self.tr("The same seed makes the same files.")
             ),
             parameters.product(self.ID, "folder"),
-        ]
-
-    def extra_outputs(self) -> list:
-        return [
-            QgsProcessingOutputMultipleLayers("IMAGES", self.tr("Images")),
-            QgsProcessingOutputRasterLayer("TRUTH", self.tr("True DSM")),
-            QgsProcessingOutputVectorLayer("GCPS", self.tr("Ground control points")),
         ]
 
     def processAlgorithm(

@@ -9,8 +9,6 @@ from qgis.core import (
     QgsProcessing,
     QgsProcessingContext,
     QgsProcessingFeedback,
-    QgsProcessingOutputMultipleLayers,
-    QgsProcessingOutputNumber,
     QgsProcessingParameterString,
     QgsProcessingUtils,
 )
@@ -93,21 +91,6 @@ class Series(RepmAlgorithm):
             *(
                 parameters.product(self.ID, name)
                 for name in ("output", "trend", "changed", "volumes", "layers", "table", "report")
-            ),
-        ]
-
-    def extra_outputs(self) -> list:
-        return [
-            QgsProcessingOutputMultipleLayers("MAPS", self.tr("Layers of the dates")),
-            *(
-                QgsProcessingOutputNumber(name, label)
-                for name, label in (
-                    ("N_DATES", self.tr("Number of dates")),
-                    ("RISING_M2", self.tr("Ground that rises significantly (m²)")),
-                    ("FALLING_M2", self.tr("Ground that falls significantly (m²)")),
-                    ("VOLUME_M3", self.tr("Volume of the first area at the last date (m³)")),
-                    ("VOLUME_DEVIATION_M3", self.tr("Its standard deviation (m³)")),
-                )
             ),
         ]
 

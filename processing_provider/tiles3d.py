@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from qgis.core import QgsProcessingOutputFile
-
 from . import parameters
 from .base import RepmAlgorithm
 
@@ -43,6 +41,3 @@ class Tiles3d(RepmAlgorithm):
             ),
             parameters.product(self.ID, "tiles3d"),
         ]
-
-    def extra_outputs(self) -> list:
-        return [QgsProcessingOutputFile("TILESET", self.tr("The file to open: tileset.json"))]

@@ -21,9 +21,9 @@ from .contracts.checks import Choice, Number, types_of
 from .contracts.documents import JsonMapping, JsonObject, Keywords
 from .contracts.options import Options, PipelineOptions
 from .contracts.products import PRODUCTS
+from .contracts.stages import STAGES
 from .engine_process import own_output, read_job, serve
 from .runtime.progress import JsonLines
-from .stages import STAGES
 
 _BAR = 24  # characters of the bar
 _LEAST_COLUMNS = 40
@@ -45,7 +45,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="repm", description="Surface models from satellite images with RPCs.")
     parser.add_argument("--version", action="version", version=f"repm {__version__}")
     stages = parser.add_subparsers(dest="stage", required=True, metavar="STAGE")
-    for name, options in STAGES.items():
+    for name, declared in STAGES.items():
+        options = declared.options
         text = _plain(options.__doc__ or "")
         each = stages.add_parser(name, help=text.split(". ")[0].rstrip("."), description=text, add_help=True)
         each.add_argument("--job", metavar="JOB.json", help="a JSON file with more options", default="")
@@ -98,7 +99,7 @@ def _kind(options: Type[Options], name: str) -> Any:
 def _help(stage: str, options: Type[Options], name: str) -> str:
     """What options.py says of an option, what it may be, and its default."""
     owner, declared = _owner(options, name), options.option(name)
-    product = next((each for each in PRODUCTS if each.option == name and STAGES[each.stage] is owner), None)
+    product = next((each for each in PRODUCTS if each.option == name and STAGES[each.stage].options is owner), None)
     sentences = re.split(r"(?<=\.)\s+", " ".join((owner.__doc__ or "").split()))
     said = next((each for each in sentences if re.search(rf"``{name}(``|/)", each)), "")
     parts = [product.title if product is not None else "", _plain(said).rstrip(".")]

@@ -26,6 +26,7 @@ from typing import Callable, TextIO, Tuple
 
 from .contracts.documents import JsonObject
 from .contracts.errors import INSTALL_REMEDY, Cancelled, MissingPackageError, OptionError, RepmError
+from .contracts.results import Result
 from .runtime.parallel import end_workers
 from .runtime.process_limits import bound_cache, keep_freed_memory, one_thread_for_sums
 from .runtime.progress import JsonLines
@@ -160,7 +161,7 @@ def _asked_for(arguments: list[str], line: bytes) -> Tuple[str, JsonObject]:
     return arguments[0], read_job(arguments[1], line)
 
 
-def _run(asked: Asked, lines: JsonLines) -> JsonObject:
+def _run(asked: Asked, lines: JsonLines) -> Result:
     one_thread_for_sums()
     keep_freed_memory()
     from .stages import run_stage
@@ -220,7 +221,7 @@ def _ended(asked: Asked, lines: JsonLines, cancelling: Cancelling) -> int:
         cancelling.stop_listening()
         # Native code that was interrupted in a callback turns the exception into one of its own.
         return _send_failure(Cancelled() if cancelling.asked() else error, lines)
-    lines.send(type="result", result=result)
+    lines.send(type="result", result=result.to_mapping())
     return 0
 
 

@@ -24,6 +24,7 @@ from .contracts.checks import Choice, Misfit, Number, file_name, mapping, member
 from .contracts.documents import JsonMapping, JsonObject
 from .contracts.errors import ImageError, OptionError, RpcInvalidError, SceneError, SceneVersionError, reason_of
 from .contracts.options import BACKENDS, MODELS, PRESETS
+from .contracts.record import Record
 from .contracts.records import (
     FilePath,
     Ground,
@@ -33,7 +34,6 @@ from .contracts.records import (
     OwnFilePath,
     Pointing,
     PointingFigures,
-    Record,
     RegistrationFigures,
     StageRecord,
     ViewPair,

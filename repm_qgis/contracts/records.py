@@ -4,40 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import (
-    Annotated,
-    Callable,
-    Dict,
-    List,
-    Mapping,
-    Optional,
-    Tuple,
-    Type,
-    TypeVar,
-    Union,
-    get_args,
-    get_origin,
-)
+from typing import Annotated, Callable, Dict, List, Optional, Tuple, Union, get_args, get_origin
 
 import numpy as np
 
 from .arrays import Altitudes, Bounds, FloatArray
-from .checks import (
-    AnyFile,
-    Array,
-    FileName,
-    Misfit,
-    Number,
-    OwnFile,
-    Range,
-    Rectangle,
-    mapping,
-    member,
-    typed,
-    types_of,
-)
+from .checks import AnyFile, Array, FileName, Number, OwnFile, Range, Rectangle, types_of
+from .record import R, Record
 
-R = TypeVar("R", bound="Record")
 FilePath = Annotated[str, AnyFile()]
 """The path of a file that a record names: :func:`with_files` changes it, and a scene keeps it relative to itself."""
 OwnFilePath = Annotated[str, OwnFile()]
@@ -57,47 +31,6 @@ Pointing = Annotated[FloatArray, Array((2, 3), most=1e7)]
 """An affine map of pixels, (2, 3)."""
 PackedWaves = Annotated[FloatArray, Array((-1, 2), most=1e9)]
 """Jitter as one array: its first and last line, and below them its coefficients."""
-
-
-class Record:
-    """The base of dataclasses that are written to JSON: one entry a field, under the field's name.
-
-    The annotations of its fields say what the entries must be (:mod:`repm_qgis.contracts.checks`).
-    """
-
-    def to_mapping(self) -> Dict[str, object]:
-        return {field.name: _plain(getattr(self, field.name)) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
-
-    @classmethod
-    def from_mapping(cls: Type[R], values: Mapping[str, object]) -> R:
-        """Raises Misfit where an entry is missing, does not fit its field's type, or contradicts another one."""
-        types, entries = types_of(cls), {}
-        for field in dataclasses.fields(cls):  # type: ignore[arg-type]  # every subclass is a dataclass
-            with member(field.name):
-                if field.name in mapping(values):
-                    entries[field.name] = typed(types[field.name], values[field.name])
-                elif field.default is field.default_factory is dataclasses.MISSING:
-                    raise Misfit("is missing")
-        record = cls(**entries)
-        contradiction = record.contradiction()
-        if contradiction:
-            raise Misfit(contradiction)
-        return record
-
-    def contradiction(self) -> str:
-        """How entries that are valid one by one contradict each other: "has ..."; "" where they do not."""
-        return ""
-
-
-def _plain(value: object) -> object:
-    """A value as JSON has it."""
-    if hasattr(value, "to_mapping"):
-        return value.to_mapping()
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, Mapping):
-        return {name: _plain(entry) for name, entry in value.items()}
-    return [_plain(entry) for entry in value] if isinstance(value, (list, tuple)) else value
 
 
 def with_files(record: R, change: Callable[[str], str]) -> R:

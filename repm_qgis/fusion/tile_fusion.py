@@ -10,7 +10,8 @@ from typing import List, Optional, Sequence, Tuple
 import numpy as np
 
 from ..contracts.arrays import Bounds, Floats, Mask, Window
-from ..contracts.records import FilePath, HeightMapRecord, Record
+from ..contracts.record import Record
+from ..contracts.records import FilePath, HeightMapRecord
 from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..geometry.gridding import grid_points, surface_step
 from ..matching.backends import height_source

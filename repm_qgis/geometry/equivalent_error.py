@@ -13,7 +13,8 @@ import numpy as np
 from ..contracts.arrays import Altitudes, FloatArray
 from ..contracts.checks import typed
 from ..contracts.errors import OptionError, RpcInvalidError
-from ..contracts.records import Count, Pixels, Record
+from ..contracts.record import Record
+from ..contracts.records import Count, Pixels
 from .footprints import ring
 from .frames import EnuFrame
 from .jitter import Jitter

@@ -21,7 +21,7 @@ from pyproj.transformer import TransformerGroup
 from ..contracts.arrays import FloatArray
 from ..contracts.checks import Number
 from ..contracts.errors import ImageError, OptionError, RepmError
-from ..contracts.records import Record
+from ..contracts.record import Record
 
 _TO_ECEF = "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps=WGS84"
 

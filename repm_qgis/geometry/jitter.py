@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..contracts.arrays import FloatArray
 from ..contracts.checks import Array, Number
-from ..contracts.records import Record
+from ..contracts.record import Record
 
 _STEPS = 30  # at most: each makes the error fifty times smaller
 _TOLERANCE_PX = 1e-9

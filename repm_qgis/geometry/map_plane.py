@@ -14,7 +14,7 @@ import pyproj
 
 from ..contracts.arrays import FloatArray
 from ..contracts.checks import Number
-from ..contracts.records import Record
+from ..contracts.record import Record
 from .frames import geodetic_from_projected, projected_from_geodetic
 
 _LEAST_PIXEL = 1e-18  # area of a pixel in units of the map squared: 1e-9 degrees are a tenth of a millimetre

@@ -14,7 +14,7 @@ import numpy as np
 from ..contracts.arrays import FloatArray
 from ..contracts.checks import Array
 from ..contracts.errors import RpcInvalidError
-from ..contracts.records import Record
+from ..contracts.record import Record
 
 
 @dataclass(frozen=True)

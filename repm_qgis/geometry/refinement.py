@@ -14,7 +14,7 @@ import numpy as np
 from ..contracts.arrays import FloatArray
 from ..contracts.checks import Array, Misfit, Number, member, shown, typed
 from ..contracts.errors import OptionError
-from ..contracts.records import Record
+from ..contracts.record import Record
 from .frames import EnuFrame
 from .jitter import Jitter
 from .pinhole import PinholeCamera, linear_transform

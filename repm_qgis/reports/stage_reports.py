@@ -11,10 +11,10 @@ from osgeo import ogr
 
 from .. import __version__
 from ..contracts.arrays import ByteImage, FloatArray, FloatImage
-from ..contracts.documents import JsonMapping
 from ..contracts.errors import RepmError
 from ..contracts.products import STYLES, forms, products_of
 from ..contracts.records import FusionFacts
+from ..contracts.results import PipelineResult
 from ..geometry.footprints import footprint
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.interpolation import on_lattice
@@ -120,16 +120,14 @@ def _image_below(scene: Scene, view: View, path: str, values: FloatImage, altitu
     return np.where(inside[..., None], picture[row, column], np.uint8(0))
 
 
-def pipeline_report(
-    scene: Scene, products: JsonMapping, seconds: Mapping[str, float], command: Optional[str]
-) -> Report:
+def pipeline_report(scene: Scene, result: PipelineResult, command: Optional[str]) -> Report:
     """The whole run on one page: surface, inputs, geometry, ties, and the command that repeats it."""
-    report = Report("Surface model from satellite images", os.path.basename(str(products["output"])))
-    facts = FusionFacts.from_mapping(products)
+    report = Report("Surface model from satellite images", os.path.basename(result.output))
+    facts = FusionFacts.from_mapping(result.to_mapping())
     _verdict(report, scene, facts)
-    _surface(report, products["output"], products["vertical_datum"], facts)
-    if products.get("ortho"):
-        picture = pictures.png_bytes(pictures.photograph(products["ortho"], 800))
+    _surface(report, result.output, result.vertical_datum, facts)
+    if result.ortho:
+        picture = pictures.png_bytes(pictures.photograph(result.ortho, 800))
         report.png(picture, "The orthophoto, north up. White: no image shows the ground there, or it has no height.")
     _warnings(report, scene)
     _inputs(report, scene)
@@ -137,10 +135,10 @@ def pipeline_report(
     _reconstruction(report, scene)
     if scene.registration is not None:
         add_registration(report, scene.registration)
-    _confidence(report, products.get("confidence"), products.get("ortho") or "", products["output"])
+    _confidence(report, result.confidence, result.ortho or "", result.output)
     made = sorted(products_of("pipeline"), key=lambda product: product.stage != "dsmfuse")
-    files = [(each.title, products.get(each.option)) for each in made if each.style or each.stage == "dsmfuse"]
-    files.append(("Scene, for the next stage", products["scene"]))
+    files = [(each.title, getattr(result, each.option, None)) for each in made if each.style or each.stage == "dsmfuse"]
+    files.append(("Scene, for the next stage", result.scene))
     report.section("Files").table(
         "product | file",
         [[title, str(path)] for title, path in files if path],
@@ -149,7 +147,7 @@ def pipeline_report(
     )
     if command:
         report.section("Repeat this run").command(command)
-    return _history(report, scene, seconds)
+    return _history(report, scene, result.seconds)
 
 
 def _surface(report: Report, path: str, datum: str, facts: FusionFacts) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from ..contracts.arrays import FloatArray
 from ..contracts.checks import Misfit, Number
 from ..contracts.errors import RpcInvalidError
-from ..contracts.records import Record
+from ..contracts.record import Record
 
 _CHUNK = 1 << 14  # points a pass: 20 monomials of them stay in the second-level cache
 _LOCALISE_TOLERANCE_PX = 3e-8  # rounding in images of 40000 px is about 1e-8 px: less would never be reached

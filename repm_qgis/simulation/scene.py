@@ -19,8 +19,8 @@ from osgeo import gdal, osr
 
 from .. import __version__
 from ..contracts.arrays import Altitudes, Bounds, FloatArray
-from ..contracts.documents import JsonObject
 from ..contracts.errors import OptionError
+from ..contracts.results import SampleDataResult
 from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import RasterFrame, created
 from ..pointing.ground_control import Gcp, write_gcps
@@ -250,11 +250,8 @@ def _record(
 
 def make_scene(
     spec: SceneSpec, folder: str, progress: Progress, parameters: SimulationParameters = SIMULATION
-) -> JsonObject:
+) -> SampleDataResult:
     """Simulate a scene and write it into a folder.
-
-    Returns ``folder``, ``images`` (paths), ``truth``, ``gcps`` (paths) and ``rpc_fit_max_px``, the largest deviation of
-    the RPCs from the sensor before their pointing errors are added.
 
     Raises WorkspaceError if the folder cannot be written, and Cancelled if the user stopped it; no half file is left.
     """
@@ -281,4 +278,4 @@ def make_scene(
     write_text(os.path.join(folder, "truth.json"), json.dumps(record, indent=1, allow_nan=False) + "\n")
     progress.step(1.0, "done")
     worst = max(fit.max_px for fit in fits)
-    return {"folder": folder, "images": images, "truth": truth, "gcps": gcp_file, "rpc_fit_max_px": worst}
+    return SampleDataResult(folder=folder, images=tuple(images), truth=truth, gcps=gcp_file, rpc_fit_max_px=worst)

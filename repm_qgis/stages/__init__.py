@@ -1,6 +1,7 @@
-"""The stages: options in, products out. Each module has ``run(options, progress) -> dict`` with JSON-able results.
+"""The stages: options in, products out. Each module has ``run(options, progress)``, which returns its result
+(:mod:`repm_qgis.contracts.results`).
 
-The names here are those of the Processing algorithms and of ``python -m repm_qgis STAGE JOB.json``.
+The names in :data:`STAGES` are those of the Processing algorithms and of ``python -m repm_qgis STAGE JOB.json``.
 """
 
 from __future__ import annotations
@@ -8,11 +9,13 @@ from __future__ import annotations
 import importlib
 import os
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Callable, ContextManager, Iterator, Mapping, Optional
+from typing import TYPE_CHECKING, Any, Callable, ContextManager, Iterator, Mapping, Optional, Union, overload
 
-from ..contracts import options as _options
 from ..contracts.errors import MissingPackageError, OptionError
+from ..contracts.options import Options
 from ..contracts.products import FOLDER, SCENE, paths_of
+from ..contracts.results import Result
+from ..contracts.stages import STAGES, R, Stage
 from ..runtime.locks import exclusive
 from ..runtime.progress import Progress
 from ..runtime.shortage import shortage_as_error
@@ -21,37 +24,25 @@ from ..runtime.workspace import following_links_of
 if TYPE_CHECKING:  # QGIS needs the options only
     from .parameters import EngineParameters
 
-STAGES: dict[str, type[_options.Options]] = {
-    "inspect": _options.InspectOptions,
-    "epmfit": _options.EpmFitOptions,
-    "errormap": _options.ErrorMapOptions,
-    "refine": _options.RefineOptions,
-    "exportcameras": _options.ExportCamerasOptions,
-    "exportrpc": _options.ExportRpcOptions,
-    "reconstruct": _options.ReconstructOptions,
-    "register": _options.RegisterOptions,
-    "dsmfuse": _options.DsmFuseOptions,
-    "pipeline": _options.PipelineOptions,
-    "mosaic": _options.MosaicOptions,
-    "dtm": _options.DtmOptions,
-    "buildings": _options.BuildingsOptions,
-    "editdsm": _options.EditDsmOptions,
-    "comparedsm": _options.CompareDsmOptions,
-    "change": _options.ChangeOptions,
-    "series": _options.SeriesOptions,
-    "checkgcps": _options.CheckGcpsOptions,
-    "viewer": _options.ViewerOptions,
-    "tiles3d": _options.Tiles3dOptions,
-    "sampledata": _options.SampleDataOptions,
-    "environment": _options.EnvironmentOptions,
-}
+__all__ = ["STAGES", "run_stage"]
 
 
+@overload
+def run_stage(
+    stage: Stage[R], options: Mapping[str, object], progress: Progress, parameters: Optional[EngineParameters] = None
+) -> R: ...
+@overload
+def run_stage(
+    stage: str, options: Mapping[str, object], progress: Progress, parameters: Optional[EngineParameters] = None
+) -> Result: ...
 @shortage_as_error()
 def run_stage(
-    name: str, options: Mapping[str, object], progress: Progress, parameters: Optional[EngineParameters] = None
-) -> dict[str, object]:
-    """Run a stage by name with options as a JSON object, and give its results as a JSON object.
+    stage: Union[Stage[Any], str],
+    options: Mapping[str, object],
+    progress: Progress,
+    parameters: Optional[EngineParameters] = None,
+) -> Result:
+    """Run a stage, or the one of a name, with options as a JSON object; returns its result.
 
     ``parameters`` are for studies of the pipeline and its stages, which keep what differs from the defaults in their
     fingerprints and scenes. Raises OptionError for an unknown stage or a bad option, OutOfMemoryError, and whatever
@@ -61,6 +52,7 @@ def run_stage(
     from ..runtime.process_limits import one_thread_for_loaded_sums
 
     require_main()
+    name = stage if isinstance(stage, str) else stage.name
     with following_links_of(_texts(options)), one_thread_for_loaded_sums():
         return _run(name, options, progress, parameters)
 
@@ -79,10 +71,10 @@ def _texts(options: object) -> Iterator[str]:
 
 def _run(
     name: str, options: Mapping[str, object], progress: Progress, parameters: Optional[EngineParameters]
-) -> dict[str, object]:
+) -> Result:
     if name not in STAGES:
         raise OptionError("stage", name, f"must be one of {', '.join(STAGES)}")
-    checked = STAGES[name].from_json(options)
+    checked = STAGES[name].options.from_json(options)
     from .collisions import require_distinct
 
     require_distinct(name, checked)
@@ -92,13 +84,13 @@ def _run(
         require_sensible(checked)
     else:
         require_sensible(checked, parameters)
-    run: Callable[..., dict[str, object]] = importlib.import_module(f"{__name__}.{name}").run
+    run: Callable[..., Result] = importlib.import_module(f"{__name__}.{name}").run
     folders, files = _written(name, checked)
     with exclusive(name, progress, folders, files), _workers_for(name, checked, progress):
         return run(checked, progress) if parameters is None else run(checked, progress, parameters)
 
 
-def _written(name: str, options: _options.Options) -> tuple[list[str], list[str]]:
+def _written(name: str, options: Options) -> tuple[list[str], list[str]]:
     """The folders and files that two runs of stages must not write at the same time: workspaces, scenes, outputs."""
     made = list(paths_of(name, options))
     folders = [path for product, path in made if product.option == "workspace"]
@@ -106,7 +98,7 @@ def _written(name: str, options: _options.Options) -> tuple[list[str], list[str]
     return folders, [path for product, path in made if product.option == "output"]
 
 
-def _workers_for(name: str, options: _options.Options, progress: Progress) -> ContextManager[None]:
+def _workers_for(name: str, options: Options, progress: Progress) -> ContextManager[None]:
     """The workers of the cluster that the options name; this machine's come by themselves."""
     named: list[str] = [getattr(part, "cluster", "") for part in options.parts()]
     address = next(filter(None, named), "")

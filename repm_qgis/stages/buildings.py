@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 import time
-from typing import Dict, Tuple
+from dataclasses import replace
+from typing import Tuple
 
 from ..buildings.cityjson import write_cityjson
 from ..buildings.finding import FoundBuildings, find_buildings, require_metres
 from ..buildings.layer import write_footprints
 from ..buildings.page import buildings_page
 from ..contracts.options import BuildingsOptions, DtmOptions
+from ..contracts.results import BuildingsResult
 from ..evaluation.grids import Grid
 from ..geometry.frames import flat_crs
 from ..imagery.raster import opened
@@ -27,7 +29,7 @@ _TERRAIN_SHARE = 0.5  # of the progress, where the terrain is made first
 _Task = Tuple[BuildingsOptions, Surface, str, str, EngineParameters]
 
 
-def run(options: BuildingsOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, object]:
+def run(options: BuildingsOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> BuildingsResult:
     """Find the buildings, and write them; gives the products' paths, and how many buildings there are.
 
     Raises ImageError and OverlapError for rasters that cannot be used, EmptyResultError where there is no ground,
@@ -49,12 +51,13 @@ def run(options: BuildingsOptions, progress: Progress, parameters: EngineParamet
             )
             dtm.run(made, Part(progress, 0.0, share), parameters)
         task = options, surface, str(terrain), folder, parameters
-        result = run_whole(_found, task, Part(progress, share, 1.0), "finding buildings")
+        result: BuildingsResult = run_whole(_found, task, Part(progress, share, 1.0), "finding buildings")
         progress.step(1.0, "Buildings found")
-    return {**result, "seconds": round(time.monotonic() - start, 3)}
+    return replace(result, seconds=round(time.monotonic() - start, 3))
 
 
-def _found(task: _Task, progress: Progress) -> Dict[str, object]:
+def _found(task: _Task, progress: Progress) -> BuildingsResult:
+    """The result, without its seconds."""
     options, surface, terrain, folder, parameters = task
     found = find_buildings(options, surface, terrain, folder, Part(progress, 0.0, 0.9), parameters.buildings)
     for text in found.warnings:
@@ -75,15 +78,16 @@ def _found(task: _Task, progress: Progress) -> Dict[str, object]:
         f"{counted(len(found.buildings), 'building')}, {roofed} of them with the planes of their roofs, on "
         f"{sum(each.area for each in found.buildings):.0f} m2."
     )
-    return {
-        "output": options.output,
-        "cityjson": options.cityjson,
-        "report": options.report,
-        "n_buildings": len(found.buildings),
-        "n_roofed": roofed,
-        "area_m2": float(sum(each.area for each in found.buildings)),
-        "volume_m3": float(sum(each.volume for each in found.buildings)),
-    }
+    return BuildingsResult(
+        output=options.output,
+        cityjson=options.cityjson,
+        report=options.report,
+        n_buildings=len(found.buildings),
+        n_roofed=roofed,
+        area_m2=float(sum(each.area for each in found.buildings)),
+        volume_m3=float(sum(each.volume for each in found.buildings)),
+        seconds=0.0,
+    )
 
 
 def _write(options: BuildingsOptions, found: FoundBuildings, terrain: str, progress: Progress) -> None:

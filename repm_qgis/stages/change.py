@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Dict
-
 from ..change.finding import Found, find_changes
 from ..change.page import change_page
 from ..change.parameters import CHANGE
 from ..contracts.options import ChangeOptions
 from ..contracts.products import paths_of
+from ..contracts.results import ChangeResult
 from ..names import dates_title
 from ..reports.styles import write_style
 from ..runtime.parallel import run_whole
 from ..runtime.progress import Part, Progress, counted
 
 
-def run(options: ChangeOptions, progress: Progress) -> Dict[str, object]:
+def run(options: ChangeOptions, progress: Progress) -> ChangeResult:
     """Compare the dates; see :mod:`repm_qgis.change.detection` for what is significant.
 
     Raises ImageError, OverlapError, OptionError, EmptyResultError, WorkspaceError.
     """
-    result: Dict[str, object] = run_whole(_changed, options, progress, "comparing two dates")
+    result: ChangeResult = run_whole(_changed, options, progress, "comparing two dates")
     return result
 
 
-def _changed(options: ChangeOptions, progress: Progress) -> Dict[str, object]:
+def _changed(options: ChangeOptions, progress: Progress) -> ChangeResult:
     found = find_changes(options, Part(progress, 0.0, 0.9))
     for text in found.warnings:
         progress.warn(text)
@@ -37,21 +36,21 @@ def _changed(options: ChangeOptions, progress: Progress) -> Dict[str, object]:
     _log(found, progress)
     progress.step(1.0, "Done")
     gains, losses = found.total(True), found.total(False)
-    return {
-        "output": options.output,
-        "significant": options.significant,
-        "volumes": options.volumes,
-        "report": options.report,
-        "changes": len(found.changes),
-        "gained_m3": gains.volume,
-        "gained_deviation_m3": gains.deviation,
-        "lost_m3": abs(losses.volume),
-        "lost_deviation_m3": losses.deviation,
-        "level_m": found.level_m,
-        "dx": found.alignment.dx,
-        "dy": found.alignment.dy,
-        "dz": found.alignment.dz,
-    }
+    return ChangeResult(
+        output=options.output,
+        significant=options.significant,
+        volumes=options.volumes,
+        report=options.report,
+        changes=len(found.changes),
+        gained_m3=gains.volume,
+        gained_deviation_m3=gains.deviation,
+        lost_m3=abs(losses.volume),
+        lost_deviation_m3=losses.deviation,
+        level_m=found.level_m,
+        dx=found.alignment.dx,
+        dy=found.alignment.dy,
+        dz=found.alignment.dz,
+    )
 
 
 def _log(found: Found, progress: Progress) -> None:

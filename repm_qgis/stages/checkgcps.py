@@ -7,9 +7,9 @@ from typing import Dict, List, Optional, Tuple
 import numpy as np
 from osgeo import ogr
 
-from ..contracts.documents import JsonObject
 from ..contracts.errors import EmptyResultError, InputTableError
 from ..contracts.options import CheckGcpsOptions
+from ..contracts.results import CheckGcpsResult, PointErrors
 from ..evaluation.gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy, measure_dsm, measure_images
 from ..files.vector import Features, file_and_layer, write_layer
 from ..geometry.frames import projected_from_geodetic, utm_crs
@@ -26,12 +26,8 @@ from .errormap import error_at
 _SHORT = {"east": "e", "north": "n", "height": "h"}
 
 
-def run(options: CheckGcpsOptions, progress: Progress) -> JsonObject:
+def run(options: CheckGcpsOptions, progress: Progress) -> CheckGcpsResult:
     """Measure; see :mod:`repm_qgis.evaluation.gcp_accuracy` for what the errors mean.
-
-    Gives ``{column}_medae``, ``_rmse``, ``_le90`` and ``_max`` of the heights and the ``_ce90`` of the positions (m)
-    for rpc, compensated, scene and dsm as far as they are known, the same for the three ``components``, and the points
-    left out as ``wrong``.
 
     Raises SceneError, InputTableError, OptionError, ImageError, EmptyResultError, WorkspaceError.
     """
@@ -61,8 +57,7 @@ def run(options: CheckGcpsOptions, progress: Progress) -> JsonObject:
         gcp_page(found, options).of(name).write(options.report)
     _log_heights(found, progress)
     progress.step(1.0, "points checked")
-    counts = {"points": len(found.gcps), "wrong": list(found.wrong)}
-    return {"output": options.output, "report": options.report, **counts, **_numbers(found)}
+    return _result(options, found)
 
 
 def _measure_images(scene: Scene, found: GcpAccuracy, options: CheckGcpsOptions) -> None:
@@ -82,20 +77,50 @@ def _measure_images(scene: Scene, found: GcpAccuracy, options: CheckGcpsOptions)
         found.warnings.append(f"No point of '{options.gcps}' was measured in an image: only the DSM is checked.")
 
 
-def _numbers(found: GcpAccuracy) -> JsonObject:
-    numbers: JsonObject = {"components": {}}
+def _result(options: CheckGcpsOptions, found: GcpAccuracy) -> CheckGcpsResult:
+    components: Dict[str, Dict[str, PointErrors]] = {}
+    ce90: Dict[str, float] = {}
     for column in found.errors:
         for component in COMPONENTS:
             errors = found.summary(column, component)
             if errors.count:
-                of = {name: getattr(errors, name) for name in ("medae", "rmse", "max", "le90", "count")}
-                numbers["components"].setdefault(column, {})[component] = of
-                if component == "height":
-                    numbers.update({f"{column}_{name}": of[name] for name in ("medae", "rmse", "max", "le90")})
+                components.setdefault(column, {})[component] = PointErrors(
+                    medae=errors.medae, rmse=errors.rmse, max=errors.max, le90=errors.le90, count=errors.count
+                )
         around = found.horizontal(column)
         if around.count:
-            numbers[f"{column}_ce90"] = around.le90
-    return numbers
+            ce90[column] = around.le90
+
+    def heights(column: str) -> Optional[PointErrors]:
+        return components.get(column, {}).get("height")
+
+    rpc, compensated, scene, dsm = map(heights, ("rpc", "compensated", "scene", "dsm"))
+    return CheckGcpsResult(
+        output=options.output,
+        report=options.report,
+        points=len(found.gcps),
+        wrong=tuple(found.wrong),
+        components=components,
+        rpc_medae=rpc.medae if rpc else None,
+        rpc_rmse=rpc.rmse if rpc else None,
+        rpc_le90=rpc.le90 if rpc else None,
+        rpc_max=rpc.max if rpc else None,
+        compensated_medae=compensated.medae if compensated else None,
+        compensated_rmse=compensated.rmse if compensated else None,
+        compensated_le90=compensated.le90 if compensated else None,
+        compensated_max=compensated.max if compensated else None,
+        scene_medae=scene.medae if scene else None,
+        scene_rmse=scene.rmse if scene else None,
+        scene_le90=scene.le90 if scene else None,
+        scene_max=scene.max if scene else None,
+        dsm_medae=dsm.medae if dsm else None,
+        dsm_rmse=dsm.rmse if dsm else None,
+        dsm_le90=dsm.le90 if dsm else None,
+        dsm_max=dsm.max if dsm else None,
+        rpc_ce90=ce90.get("rpc"),
+        compensated_ce90=ce90.get("compensated"),
+        scene_ce90=ce90.get("scene"),
+    )
 
 
 def _log_heights(found: GcpAccuracy, progress: Progress) -> None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from contextlib import ExitStack
-from typing import ContextManager, Tuple
+from typing import ContextManager, Optional, Tuple
 
 import numpy as np
 from osgeo import gdal
 
-from ..contracts.documents import JsonObject
 from ..contracts.file_kinds import is_cloud
 from ..contracts.options import CompareDsmOptions
+from ..contracts.results import AlignedAccuracy, CompareDsmResult, HeightAccuracy, OtherDsm
 from ..evaluation.clouds import raster_of_cloud
 from ..evaluation.comparison import Comparison, compare
 from ..evaluation.grids import Grid
@@ -25,17 +25,17 @@ from ..runtime.parallel import run_whole
 from ..runtime.progress import Part, Progress
 
 
-def run(options: CompareDsmOptions, progress: Progress) -> JsonObject:
+def run(options: CompareDsmOptions, progress: Progress) -> CompareDsmResult:
     """Compare; see :mod:`repm_qgis.evaluation.metrics` for what the numbers mean, and
     :mod:`repm_qgis.evaluation.coregistration` for the sign of dx, dy, dz (metres to add to the DSM).
 
     Raises ImageError, InputTableError, OverlapError, EmptyResultError, WorkspaceError.
     """
-    result: JsonObject = run_whole(_all_compared, options, progress, "comparing with the reference")
+    result: CompareDsmResult = run_whole(_all_compared, options, progress, "comparing with the reference")
     return result
 
 
-def _all_compared(options: CompareDsmOptions, progress: Progress) -> JsonObject:
+def _all_compared(options: CompareDsmOptions, progress: Progress) -> CompareDsmResult:
     paths = [options.dsm, *options.others]
     ends = [0.9 * i / len(paths) for i in range(len(paths) + 1)]
     found = [_compared(options, path, Part(progress, low, high)) for path, low, high in zip(paths, ends, ends[1:])]
@@ -57,15 +57,20 @@ def _all_compared(options: CompareDsmOptions, progress: Progress) -> JsonObject:
         progress.info(
             "{}RMSE {rmse:.3f} m, MedAE {medae:.3f} m, MAE {mae:.3f} m, NMAD {nmad:.3f} m, "
             "LE90 {le90:.3f} m, bias {bias:+.3f} m; {valid:.1f} % of the reference's cells have a height.".format(
-                f"'{path}': " if options.others else "", **_figures(one)
+                f"'{path}': " if options.others else "", **_aligned(one).fields_of(AlignedAccuracy)
             )
         )
     progress.step(1.0, "Done")
-    by_class = {name: _accuracy(metrics) for name, metrics in found[0].by_class}
-    along_normals = _accuracy(found[0].along_normals)
-    others = [{"dsm": path, **_figures(one)} for path, one in zip(paths[1:], found[1:])]
-    written = {"error": options.error, "report": options.report}
-    return {**written, **_figures(found[0]), "along_normals": along_normals, "by_class": by_class, "others": others}
+    return CompareDsmResult(
+        **_aligned(found[0]).fields_of(AlignedAccuracy),
+        error=options.error,
+        report=options.report,
+        along_normals=_accuracy(found[0].along_normals),
+        by_class={name: _accuracy(metrics) for name, metrics in found[0].by_class},
+        others=tuple(
+            OtherDsm(dsm=path, **_aligned(one).fields_of(AlignedAccuracy)) for path, one in zip(paths[1:], found[1:])
+        ),
+    )
 
 
 def _compared(options: CompareDsmOptions, path: str, progress: Progress) -> Comparison:
@@ -109,18 +114,25 @@ def _error_raster(path: str, reference: gdal.Dataset) -> ContextManager[raster.R
     return raster.created(path, frame, descriptions=["DSM - reference"], unit="m", cog=True)
 
 
-def _accuracy(metrics: HeightMetrics) -> JsonObject:
-    """Figures of one set of cells; None where there is none to compare (JSON knows no NaN)."""
-    values = {name: getattr(metrics, name) for name in ("rmse", "medae", "mae", "nmad", "le90", "bias")}
-    return {
-        **{name: value if math.isfinite(value) else None for name, value in values.items()},
-        "valid": metrics.valid,
-        "completeness": metrics.completeness[0][1],
-        "completeness_by_threshold": {f"{threshold:g}": share for threshold, share in metrics.completeness},
-        "cells": metrics.cells,
-    }
+def _accuracy(metrics: HeightMetrics) -> HeightAccuracy:
+    return HeightAccuracy(
+        rmse=_known(metrics.rmse),
+        medae=_known(metrics.medae),
+        mae=_known(metrics.mae),
+        nmad=_known(metrics.nmad),
+        le90=_known(metrics.le90),
+        bias=_known(metrics.bias),
+        valid=metrics.valid,
+        completeness=metrics.completeness[0][1],
+        completeness_by_threshold={f"{threshold:g}": share for threshold, share in metrics.completeness},
+        cells=metrics.cells,
+    )
 
 
-def _figures(found: Comparison) -> JsonObject:
-    a = found.alignment
-    return {**_accuracy(found.metrics), "dx": a.dx, "dy": a.dy, "dz": a.dz}
+def _known(value: float) -> Optional[float]:
+    return value if math.isfinite(value) else None
+
+
+def _aligned(one: Comparison) -> AlignedAccuracy:
+    moved, of_heights = one.alignment, _accuracy(one.metrics).fields_of(HeightAccuracy)
+    return AlignedAccuracy(**of_heights, dx=moved.dx, dy=moved.dy, dz=moved.dz)

@@ -12,13 +12,14 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Callable, Dict, Iterable, Iterator, List, Optional, Tuple
 
-from ..contracts.documents import JsonObject, Keywords
+from ..contracts.documents import Keywords
 from ..contracts.errors import EmptyResultError, ImageError, OptionError, SceneError
 from ..contracts.file_kinds import is_textured
 from ..contracts.options import DsmFuseOptions, ViewerOptions
 from ..contracts.paths import real_path
 from ..contracts.products import not_requested, paths_of, product, products_of
 from ..contracts.records import FusionFacts, ViewPair
+from ..contracts.results import DsmFuseResult
 from ..exports.stac import require_times, write_item
 from ..fusion.finished import FinishedSurface
 from ..fusion.layout import DsmLayout
@@ -55,7 +56,7 @@ _DRAPED = ("ortho", "confidence")
 _ORTHO, _POINTS = 0.25, 0.2  # of the time that the DSM takes, for the orthophoto and for the points of a cloud
 
 
-def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> JsonObject:
+def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> DsmFuseResult:
     """Grid, aggregate, filter and write; gives the products' paths and the share of valid cells."""
     start = time.monotonic()
     scene = reconstructed(options.scene)
@@ -97,9 +98,35 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
         write_item(options.stac, scene, {name: each for name, each in titles.items() if name != "stac"})
     _log(options, parameters, facts, progress)
     progress.step(1.0, "DSM fused")
-    paths = {each.option: getattr(options, each.option) for each in products_of("dsmfuse")}
-    seconds = round(time.monotonic() - start, 3)
-    return {**paths, **made, "vertical_datum": layout.datum.name, "seconds": seconds, **facts.to_mapping()}
+    return DsmFuseResult(
+        output=options.output,
+        confidence=options.confidence,
+        ortho=options.ortho,
+        water_mask=options.water_mask,
+        cloud=options.cloud,
+        ept=made.get("ept"),
+        mesh=made.get("mesh"),
+        view_heights=options.view_heights,
+        viewer=options.viewer,
+        stac=options.stac,
+        vertical_datum=layout.datum.name,
+        cells=facts.cells,
+        valid=facts.valid,
+        valid_percent=facts.valid_percent,
+        matched=facts.matched,
+        background=facts.background,
+        interpolated=facts.interpolated,
+        points=facts.points,
+        removed=facts.removed,
+        resolution=facts.resolution,
+        crs=facts.crs,
+        dem_offset=facts.dem_offset.to_mapping() if facts.dem_offset else None,
+        needles=facts.needles,
+        water=facts.water,
+        water_m2=facts.water_m2,
+        water_evidence=facts.water_evidence,
+        seconds=round(time.monotonic() - start, 3),
+    )
 
 
 def _laid_out(scene: Scene, options: DsmFuseOptions, progress: Progress, parameters: EngineParameters) -> DsmLayout:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import Callable, Dict, List, Sequence, Tuple, TypeVar
 
 import numpy as np
 
 from ..contracts.options import DsmFuseOptions, DtmOptions
 from ..contracts.products import product
+from ..contracts.results import DtmResult
 from ..imagery.raster import NODATA, RasterFrame, created
 from ..names import surface_title
 from ..planning.disk_space import require_space, terrain_needs
@@ -35,7 +37,7 @@ _RASTERS = {  # option: the name of the band, and its unit
 }
 
 
-def run(options: DtmOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, object]:
+def run(options: DtmOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> DtmResult:
     """Find the ground, and write the terrain and the objects on it; gives the products' paths and shares of cells.
 
     Raises ImageError for a DSM or a confidence raster that cannot be used, SceneError for such a scene,
@@ -57,21 +59,19 @@ def run(options: DtmOptions, progress: Progress, parameters: EngineParameters = 
             surface = surface_of(dsm, confidence)
         else:
             share, surface = 0.0, surface_of(str(options.dsm), options.confidence)
-        return {**_made(options, surface, folder, progress, share, parameters), "seconds": _since(start)}
+        result = _make(options, surface, folder, progress, share, parameters)
+    return replace(result, seconds=round(time.monotonic() - start, 3))
 
 
-def _since(start: float) -> float:
-    return round(time.monotonic() - start, 3)
-
-
-def _made(
+def _make(
     options: DtmOptions,
     surface: Surface,
     folder: str,
     progress: Recorder,
     share: float,
     parameters: EngineParameters,
-) -> Dict[str, object]:
+) -> DtmResult:
+    """The result, without its seconds."""
     search = blocks.Search(surface, options.largest, options.slope / 100.0, parameters.terrain)
     columns, rows = surface.size
     progress.info(
@@ -106,20 +106,25 @@ def _made(
     paths = {name: getattr(options, name) for name in _RASTERS if getattr(options, name)}
     run_whole(_write, (paths, surface, made), Part(progress, 0.9, 0.97), "writing the terrain")
     known, objects, terrain = (sum(getattr(block, name) for block in made) for name in ("known", "objects", "terrain"))
-    facts = {
-        "objects_percent": 100.0 * objects / max(known, 1),
-        "valid_percent": 100.0 * terrain / (rows * columns),
-        "vertical_datum": surface.datum.name if surface.datum else None,
-    }
+    result = DtmResult(
+        output=options.output,
+        heights=options.heights,
+        mask=options.mask,
+        report=options.report,
+        objects_percent=100.0 * objects / max(known, 1),
+        valid_percent=100.0 * terrain / (rows * columns),
+        vertical_datum=surface.datum.name if surface.datum else None,
+        seconds=0.0,
+    )
     progress.info(
-        f"{facts['objects_percent']:.1f} % of the DSM's heights belong to objects; {facts['valid_percent']:.1f} % of "
+        f"{result.objects_percent:.1f} % of the DSM's heights belong to objects; {result.valid_percent:.1f} % of "
         "the cells have a terrain."
     )
     if options.report:
-        page = terrain_page(options, surface, facts, progress.warnings)
+        page = terrain_page(options, surface, result, progress.warnings)
         page.of(surface_title(surface.path)).write(options.report)
     progress.step(1.0, "Terrain made")
-    return {**{name: getattr(options, name) for name in (*_RASTERS, "report")}, **facts}
+    return result
 
 
 def _write(task: Tuple[Dict[str, str], Surface, List[blocks.Block]], progress: Progress) -> None:

@@ -15,9 +15,10 @@ from typing import Dict, List, Optional, Tuple
 import numpy as np
 
 from ..contracts.checks import as_text
-from ..contracts.documents import JsonObject, Keywords
+from ..contracts.documents import Keywords
 from ..contracts.options import EditDsmOptions
 from ..contracts.products import product
+from ..contracts.results import EditDsmResult
 from ..editing.apply import Surface
 from ..editing.edits import Edits, read_edits
 from ..editing.parameters import EDITING, EditingParameters
@@ -38,7 +39,7 @@ from ..terrain.inputs import surface_of
 _COPIED = 0.4  # of the progress
 
 
-def run(options: EditDsmOptions, progress: Progress, parameters: EditingParameters = EDITING) -> JsonObject:
+def run(options: EditDsmOptions, progress: Progress, parameters: EditingParameters = EDITING) -> EditDsmResult:
     """Copy the DSM, apply the edits that are enabled, and write the result.
 
     Raises ImageError for a DSM or a confidence raster that cannot be used, InputTableError for an invalid record,
@@ -85,13 +86,13 @@ def run(options: EditDsmOptions, progress: Progress, parameters: EditingParamete
             write_style(product("editdsm", name).style, getattr(options, name))
     progress.info(f"{counted(len(counts), 'edit')} applied, which cover {sum(counts)} cells.")
     progress.step(1.0, "Edited")
-    return {
-        "output": options.output,
-        "edited_confidence": options.edited_confidence,
-        "edits": len(counts),
-        "edited_cells": sum(counts),
-        "vertical_datum": surface.datum.name if surface.datum else None,
-    }
+    return EditDsmResult(
+        output=options.output,
+        edited_confidence=options.edited_confidence,
+        edits=len(counts),
+        edited_cells=sum(counts),
+        vertical_datum=surface.datum.name if surface.datum else None,
+    )
 
 
 def _kept(dsm: str) -> Dict[str, str]:

@@ -12,6 +12,7 @@ from .. import __version__
 from ..contracts.documents import JsonObject
 from ..contracts.errors import OptionError, WorkspaceError
 from ..contracts.options import EnvironmentOptions
+from ..contracts.results import EnvironmentResult
 from ..installer.interpreter import base_program
 from ..reports.report import Report
 from ..runtime.environment import GRIDS, survey
@@ -19,7 +20,7 @@ from ..runtime.packages import PACKAGES
 from ..runtime.progress import Progress
 
 
-def run(options: EnvironmentOptions, progress: Progress) -> JsonObject:
+def run(options: EnvironmentOptions, progress: Progress) -> EnvironmentResult:
     """Look around, say what is missing, and write the report if one is asked for; gives the findings too."""
     if options.install or options.remove:
         return _changed(options, progress)
@@ -34,10 +35,10 @@ def run(options: EnvironmentOptions, progress: Progress) -> JsonObject:
     if options.report:
         _report(found).write(options.report)
     progress.step(1.0, "reported")
-    return {**found, "report": options.report}
+    return EnvironmentResult.from_mapping({**found, "report": options.report, "folder": None})
 
 
-def _changed(options: EnvironmentOptions, progress: Progress) -> JsonObject:
+def _changed(options: EnvironmentOptions, progress: Progress) -> EnvironmentResult:
     """Make, renew or remove the engine's own environment."""
     from ..installer import environments
     from ..installer.install import install, log_of
@@ -54,7 +55,20 @@ def _changed(options: EnvironmentOptions, progress: Progress) -> JsonObject:
         progress.info(f"The environment '{options.folder}' is removed.")
     elif not install(base_program(), options.folder, progress, wheels=options.wheels, proxy=options.proxy):
         progress.info(f"Nothing is missing in '{options.folder}'.")
-    return {"folder": options.folder}
+    return EnvironmentResult(
+        report=None,
+        folder=options.folder,
+        python=None,
+        interpreter=None,
+        platform=None,
+        versions={},
+        missing=(),
+        cuda=None,
+        memory=None,
+        cores=None,
+        disk_free_bytes=None,
+        proj=None,
+    )
 
 
 def _by_remedy(found: JsonObject) -> List[Tuple[str, str]]:

@@ -17,6 +17,7 @@ from osgeo import ogr
 from ..contracts.arrays import Altitudes, Bounds, Window
 from ..contracts.errors import OptionError, OverlapError
 from ..contracts.options import EpmFitOptions, Extent
+from ..contracts.results import EpmFitResult
 from ..files.vector import write_layer
 from ..geometry.equivalent_error import VirtualGrid, fit_pinhole, refine_pinhole, virtual_grid
 from ..geometry.footprints import bounds_of, box, footprint, seen_twice
@@ -56,7 +57,7 @@ from .parameters import ENGINE, EngineParameters, TileParameters
 _MOST_NAMED = 12  # images that the log names one by one
 
 
-def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, object]:
+def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> EpmFitResult:
     """Read the RPCs, find area and altitudes, lay tiles, fit cameras; gives the scene, the TILES layer, the report."""
     start = time.monotonic()
     options = with_images(options, progress)
@@ -84,8 +85,14 @@ def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters
     errors = [view.error for tile in scene.tiles for view in tile.views.values()]
     rmse, largest = float(np.sqrt(np.mean([e.rmse**2 for e in errors]))), max(e.max for e in errors)
     progress.step(1.0, "cameras fitted")
-    written = {"scene": scene_path, "tiles": tiles_paths[-1], "report": report_paths[-1]}
-    return {**written, "rmse": rmse, "max_error": largest}
+    return EpmFitResult(
+        workspace=options.workspace,
+        tiles=tiles_paths[-1],
+        report=report_paths[-1],
+        scene=scene_path,
+        rmse=rmse,
+        max_error=largest,
+    )
 
 
 def _key(options: EpmFitOptions, parameters: EngineParameters = ENGINE) -> str:

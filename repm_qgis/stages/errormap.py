@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Dict, Tuple
+from typing import Tuple
 
 import numpy as np
 import pyproj
@@ -11,6 +11,7 @@ import pyproj
 from ..contracts.arrays import FloatArray
 from ..contracts.errors import OptionError
 from ..contracts.options import ErrorMapOptions
+from ..contracts.results import ErrorMapResult
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import geodetic_from_projected
 from ..geometry.interpolation import on_lattice
@@ -28,7 +29,7 @@ _NODE_STEP = 8  # cells between exact errors; the error is smooth
 _LEVELS = 5
 
 
-def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, object]:
+def run(options: ErrorMapOptions, progress: Progress) -> ErrorMapResult:
     """Write the error map (four bands), its style and the report; gives RMSE and maximum at the altitude, px."""
     start = time.monotonic()
     scene = Scene.load(options.scene)
@@ -65,14 +66,20 @@ def run(options: ErrorMapOptions, progress: Progress) -> Dict[str, object]:
         raise OptionError("VIEW", view.name, "sees nothing of the tiles at this altitude: choose another altitude")
     rmse = float(np.sqrt(squares / count))
     write_style("error", options.output)
-    facts = {"rmse": rmse, "max_error": worst, "altitude": altitude, "seconds": round(time.monotonic() - start, 3)}
     if options.report:
         report = errormap_report(scene, view, options.output, rmse, worst, altitude)
         report.of(scene_title(scene, options.scene)).write(options.report)
     errors = f"equivalent error RMSE {rmse:.2g} px, max {worst:.2g} px ({refinement})"
     progress.info(f"{view.name} at {altitude:.0f} m: {errors}.")
     progress.step(1.0, "error mapped")
-    return {"output": options.output, "report": options.report, **facts}
+    return ErrorMapResult(
+        output=options.output,
+        report=options.report,
+        rmse=rmse,
+        max_error=worst,
+        altitude=altitude,
+        seconds=round(time.monotonic() - start, 3),
+    )
 
 
 def _tile_error(

@@ -12,6 +12,7 @@ import numpy as np
 from .. import __version__
 from ..contracts.errors import OptionError, SceneError, WorkspaceError
 from ..contracts.options import ExportCamerasOptions
+from ..contracts.results import ExportCamerasResult
 from ..exports import FORMATS
 from ..exports.formats import ExportFormat
 from ..exports.images import write_image
@@ -26,7 +27,7 @@ _MARK = "repm-cameras"
 _FRAME_FILE = "frame.json"
 
 
-def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, object]:
+def run(options: ExportCamerasOptions, progress: Progress) -> ExportCamerasResult:
     """Export the tiles; gives the folder, the models' folders in it, and how many images they hold."""
     written_as = FORMATS[options.format]
     written_as.require()
@@ -70,7 +71,7 @@ def run(options: ExportCamerasOptions, progress: Progress) -> Dict[str, object]:
                 "the rest."
             )
     progress.step(1.0, "cameras exported")
-    return {"folder": str(folder), "models": [str(place) for place in places], "images": count}
+    return ExportCamerasResult(folder=str(folder), models=tuple(map(str, places)), images=count)
 
 
 def _tiles(scene: Scene, name: str) -> List[Tile]:

@@ -11,6 +11,7 @@ import numpy as np
 from .. import __version__
 from ..contracts.errors import RpcInvalidError
 from ..contracts.options import ExportRpcOptions
+from ..contracts.results import ExportRpcResult
 from ..geometry.frames import EnuFrame
 from ..imagery.raster import opened
 from ..imagery.vrt import image_vrt_text
@@ -26,7 +27,7 @@ from ..scene import Scene, View
 _LIST = "rpcs.json"
 
 
-def run(options: ExportRpcOptions, progress: Progress) -> Dict[str, object]:
+def run(options: ExportRpcOptions, progress: Progress) -> ExportRpcResult:
     """Export the RPCs; gives the folder, the VRTs as ``images``, and the largest distance from the pointed model, px.
 
     Raises SceneError, ImageError, RpcInvalidError, WorkspaceError.
@@ -47,11 +48,11 @@ def run(options: ExportRpcOptions, progress: Progress) -> Dict[str, object]:
     if options.report:
         rpc_page(exported, options.scene).of(scene_title(scene, options.scene)).write(options.report)
     worst = max(each.corrected.max_px for each in exported)
-    images = [str(Path(options.rpc_folder) / each.files[0]) for each in exported]
+    images = tuple(str(Path(options.rpc_folder) / each.files[0]) for each in exported)
     off = f"at most {within_px(exported):.4f} px from the pointed model"
     progress.info(f"{counted(len(images), 'image')}: RPCs in '{options.rpc_folder}', {off}.")
     progress.step(1.0, "RPCs exported")
-    return {"rpc_folder": options.rpc_folder, "images": images, "max_error": worst, "report": options.report}
+    return ExportRpcResult(rpc_folder=options.rpc_folder, report=options.report, images=images, max_error=worst)
 
 
 def _exported(scene: Scene, view: View) -> ExportedRpc:

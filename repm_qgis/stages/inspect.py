@@ -10,6 +10,7 @@ from osgeo import ogr
 
 from ..contracts.errors import Cancelled, ImageError, RepmError
 from ..contracts.options import InspectOptions
+from ..contracts.results import InspectResult
 from ..files.vector import Features, write_layer
 from ..geometry.footprints import geometry_of, reprojected
 from ..imagery.deliveries import with_images
@@ -25,7 +26,7 @@ from .parameters import ENGINE, EngineParameters
 _GEODETIC = "EPSG:4326"
 
 
-def run(options: InspectOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, object]:
+def run(options: InspectOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> InspectResult:
     """Read RPCs and times, and write both layers and the page; gives them with the numbers of images and pairs.
 
     An image that cannot be used is named in a warning and on the page, and does not stop the others. Raises ImageError
@@ -53,9 +54,16 @@ def run(options: InspectOptions, progress: Progress, parameters: EngineParameter
         progress.info(outlook)
     progress.step(1.0, "images inspected")
     worth = sum(facts.worth in (YES, CARE) for place in places for facts in place.pairs)
-    written = {"footprints": options.footprints, "overlaps": options.overlaps, "report": options.report}
-    best = {len(choice.images): [view.image for view in choice.images] for choice in choices}
-    return {**written, "n_images": len(views), "n_pairs": worth, "pair": best.get(2), "triplet": best.get(3)}
+    best = {len(choice.images): tuple(view.image for view in choice.images) for choice in choices}
+    return InspectResult(
+        footprints=options.footprints,
+        overlaps=options.overlaps,
+        report=options.report,
+        n_images=len(views),
+        n_pairs=worth,
+        pair=best.get(2),
+        triplet=best.get(3),
+    )
 
 
 def _estimate(seen: Sequence[float], tile_px: int) -> Optional[RunEstimate]:

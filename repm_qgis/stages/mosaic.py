@@ -14,11 +14,12 @@ import pyproj
 
 from ..contracts.arrays import IntArray
 from ..contracts.checks import as_text
-from ..contracts.documents import JsonObject, Keywords
+from ..contracts.documents import Keywords
 from ..contracts.errors import EmptyResultError, ImageError, OverlapError
 from ..contracts.options import DsmFuseOptions, MosaicOptions
 from ..contracts.paths import real_path
 from ..contracts.products import kept_folder
+from ..contracts.results import DsmOffset, MosaicResult
 from ..geometry.vertical import PLACED, PLACED_TAG
 from ..imagery.raster import opened, raster_identity
 from ..mosaic.blocks import (
@@ -53,7 +54,7 @@ _FEW = 5  # pairs that a warning names
 _FUSION_SHARE = 0.6  # of the progress, where all surfaces are scenes
 
 
-def run(options: MosaicOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> JsonObject:
+def run(options: MosaicOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> MosaicResult:
     """Fuse the scenes, solve the offsets, make the mosaic block by block, and write it; gives the offsets and the
     products' paths.
 
@@ -69,7 +70,7 @@ def run(options: MosaicOptions, progress: Progress, parameters: EngineParameters
         return _run(options, str(ensure_folder(str(folder))), progress, parameters)
 
 
-def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: EngineParameters) -> JsonObject:
+def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: EngineParameters) -> MosaicResult:
     start, progress = time.monotonic(), Recorder(progress)
     count = len(options.dsms) + len(options.scenes)
     fused = _FUSION_SHARE * len(options.scenes) / count
@@ -114,21 +115,21 @@ def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: En
         page = mosaic_page(options, layout, overlaps, offsets=offsets, cells=cells, seam=seam, warnings=whole.warnings)
         page.of(mosaic_name(options.output, (*options.dsms, *options.scenes))).write(options.report)
     progress.step(1.0, "Mosaic made")
-    return {
-        "output": options.output,
-        "sources": options.sources,
-        "report": options.report,
-        "offsets": [
-            {"dsm": dsm.name, "added": float(added), "deviation": float(deviation)}
+    return MosaicResult(
+        output=options.output,
+        sources=options.sources,
+        report=options.report,
+        offsets=tuple(
+            DsmOffset(dsm=dsm.name, added=float(added), deviation=float(deviation))
             for dsm, added, deviation in zip(layout.dsms, offsets.added, offsets.deviation)
-        ],
-        "groups": len(offsets.groups),
-        "overlaps": len(overlaps),
-        "seam": seam,
-        "valid_percent": 100.0 * valid / (rows * columns),
-        "vertical_datum": layout.datum.name if layout.datum else None,
-        "seconds": round(time.monotonic() - start, 3),
-    }
+        ),
+        groups=len(offsets.groups),
+        overlaps=len(overlaps),
+        seam=seam,
+        valid_percent=100.0 * valid / (rows * columns),
+        vertical_datum=layout.datum.name if layout.datum else None,
+        seconds=round(time.monotonic() - start, 3),
+    )
 
 
 def _key(options: MosaicOptions, parameters: EngineParameters) -> str:

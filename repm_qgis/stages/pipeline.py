@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Callable, Dict, List, Sequence
+from typing import Callable, Dict, List, Sequence, TypeVar
 
 from osgeo import ogr
 
-from ..contracts.documents import JsonObject
 from ..contracts.options import PRESETS, Options, PipelineOptions
 from ..contracts.products import FOLDER, paths_of
 from ..contracts.records import ViewPair
+from ..contracts.results import FusedSurface, PipelineResult, Result
 from ..geometry.footprints import bounds_of
 from ..matching.backends import matched_pairs, require, resolve
 from ..names import scene_title
@@ -33,15 +33,17 @@ from .parameters import ENGINE, EngineParameters
 
 _SHARES = {"epmfit": 0.15, "refine": 0.2, "reconstruct": 0.85, "register": 0.9, "dsmfuse": 1.0}
 """The progress of the whole at the end of each stage."""
+Own = TypeVar("Own", bound=Options)
+R = TypeVar("R", bound=Result)
 
 
-def run(options: PipelineOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> JsonObject:
+def run(options: PipelineOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> PipelineResult:
     """Run all stages; gives every product, and the seconds of each stage."""
     with kept_workers():
         return _run(options, progress, parameters)
 
 
-def _run(options: PipelineOptions, progress: Progress, parameters: EngineParameters) -> JsonObject:
+def _run(options: PipelineOptions, progress: Progress, parameters: EngineParameters) -> PipelineResult:
     if options.preset != "none":
         values = ", ".join(f"{name.upper()} {value}" for name, value in PRESETS[options.preset].items())
         progress.info(f"Preset {options.preset}: {values}, where they are not given.")
@@ -49,7 +51,7 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
     seconds: Dict[str, float] = {}
     begin = 0.0
 
-    def stage(name: str, title: str, work: Callable[..., JsonObject], own: Options) -> JsonObject:
+    def stage(name: str, title: str, work: Callable[[Own, Progress, EngineParameters], R], own: Own) -> R:
         nonlocal begin
         start = time.monotonic()
         part = Part(progress, begin, _SHARES[name], title)
@@ -59,7 +61,7 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
         return result
 
     first = stage("epmfit", "Pinhole cameras", epmfit.run, options.fit)
-    scene = Scene.load(first["scene"])
+    scene = Scene.load(first.scene)
     xmin, ymin, xmax, ymax = bounds_of(ogr.CreateGeometryFromWkt(scene.area))
     require_cell(options.fuse.resolution, min(xmax - xmin, ymax - ymin), scene.gsd_m, parameters.tiles)
     cell = cell_of(options.fuse.resolution, scene.gsd_m, parameters.tiles)
@@ -84,14 +86,24 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
         scene = replace(scene, preset=options.preset)
         scene.save(scene_path)
     report_paths = with_copy(str(Path(options.fit.workspace) / "report.html"), options.report)
-    made = {"tiles": first["tiles"], "tie_points": heights["tie_points"], "heights": heights["heights"]}
-    products = {**fused, "scene": scene_path, "report": report_paths[-1], **made}
-    report = pipeline_report(scene, products, seconds, options.command).of(scene_title(scene, scene_path))
+    result = PipelineResult(
+        **fused.fields_of(FusedSurface),
+        workspace=options.fit.workspace,
+        tiles=first.tiles,
+        tie_points=heights.tie_points,
+        heights=heights.heights,
+        report=report_paths[-1],
+        scene=scene_path,
+        rmse=first.rmse,
+        max_error=first.max_error,
+        n_tie_points=heights.n_tie_points,
+        seconds=seconds,
+    )
+    report = pipeline_report(scene, result, options.command).of(scene_title(scene, scene_path))
     for path in report_paths:
         report.write(path)
     progress.step(1.0, "done")
-    errors = {"rmse": first["rmse"], "max_error": first["max_error"]}
-    return {**products, **errors, "n_tie_points": heights["n_tie_points"], "seconds": seconds}
+    return result
 
 
 def _needs(

@@ -16,6 +16,7 @@ from ..contracts.errors import EmptyResultError
 from ..contracts.options import ReconstructOptions
 from ..contracts.paths import real_path
 from ..contracts.records import HeightMapRecord, ViewPair
+from ..contracts.results import ReconstructResult
 from ..files.vector import Features, copy_layer, write_layer
 from ..fusion.map_offsets import with_agreeing_maps
 from ..imagery.enhancement import Stretch
@@ -48,7 +49,7 @@ from .refine import refined_tiles, with_surface
 Stretches = Dict[str, Stretch]  # by the views' names
 
 
-def run(options: ReconstructOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, object]:
+def run(options: ReconstructOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> ReconstructResult:
     """Point the views relative to each other, match tiles; gives the scene with height maps, ties, and the folder."""
     start, parameters = time.monotonic(), parameters.of_quality(options.quality)
     backends = resolve(options.backend)
@@ -101,9 +102,13 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
     write_style("tie_points", ties_path)  # of those that are reused too: their reader may have another language
     reconstruct_report(done).of(scene_title(done, options.output_scene)).write(report_path)
     progress.step(1.0, "heights reconstructed")
-    written = {"tie_points": ties_path, "heights": str(folder), "report": report_path}
-    count = done.pointing.count if done.pointing else 0
-    return {"output_scene": options.output_scene, **written, "n_tie_points": count}
+    return ReconstructResult(
+        output_scene=options.output_scene,
+        tie_points=ties_path,
+        heights=str(folder),
+        report=report_path,
+        n_tie_points=done.pointing.count if done.pointing else 0,
+    )
 
 
 def pairs_of(scene: Scene, options: ReconstructOptions, parameters: EngineParameters = ENGINE) -> List[ViewPair]:

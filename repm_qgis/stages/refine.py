@@ -6,13 +6,14 @@ import os
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Dict, List, Optional, Tuple
+from typing import List, Optional, Tuple
 
 import numpy as np
 import pyproj
 
 from ..contracts.errors import OptionError
 from ..contracts.options import RefineOptions
+from ..contracts.results import RefineResult
 from ..fusion.own_surface import lon_lat_bounds, own_surface
 from ..geometry.equivalent_error import RefinedPinhole, refine_pinhole, virtual_grid
 from ..geometry.parameters import VIRTUAL_GRID
@@ -31,7 +32,7 @@ from .parameters import ENGINE, EngineParameters
 _BATCH = 32  # tiles of a task that writes no images: starting processes costs as much as the maps of some hundred tiles
 
 
-def run(options: RefineOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, object]:
+def run(options: RefineOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> RefineResult:
     """Refine all tiles; gives the refined scene and the report."""
     start = time.monotonic()
     scene = Scene.load(options.scene)
@@ -60,7 +61,7 @@ def run(options: RefineOptions, progress: Progress, parameters: EngineParameters
     rmse, largest = float(np.sqrt(np.mean([e.rmse**2 for e in errors]))), max(e.max for e in errors)
     progress.info(f"Equivalent error after {scene.refinement} refinement: RMSE {rmse:.3f} px, max {largest:.3f} px.")
     progress.step(1.0, "images refined")
-    return {"output_scene": options.output_scene, "report": report_path, "rmse": rmse, "max_error": largest}
+    return RefineResult(output_scene=options.output_scene, report=report_path, rmse=rmse, max_error=largest)
 
 
 def _refine(scene: Scene, options: RefineOptions, parameters: EngineParameters, progress: Progress) -> Scene:

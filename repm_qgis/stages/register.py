@@ -7,7 +7,7 @@ import os
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Iterator, List, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
@@ -16,6 +16,7 @@ from osgeo import ogr
 from ..contracts.errors import EmptyResultError, OverlapError, SceneError
 from ..contracts.options import RegisterOptions
 from ..contracts.records import GroundShift, RegistrationFigures
+from ..contracts.results import RegisterResult
 from ..files.vector import copy_layer, file_and_layer, write_layer
 from ..fusion.own_surface import own_surface
 from ..fusion.reference_waves import with_reference_waves
@@ -52,7 +53,7 @@ class _Work:
     laid: Tuple[Laid, ...]
 
 
-def run(options: RegisterOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Dict[str, object]:
+def run(options: RegisterOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> RegisterResult:
     """Register; gives the scenes' paths, the shift (m east, north, up) and its standard deviations.
 
     Raises SceneError for a scene that has no heights, OverlapError for a reference that covers no scene,
@@ -81,14 +82,22 @@ def run(options: RegisterOptions, progress: Progress, parameters: EngineParamete
     _write_products(made[0], figures, options)
     progress.step(1.0, "scene registered")
     east, north, up = figures.latest.moved
-    return {
-        "output_scene": options.output_scene,
-        "other_scenes": outputs[1:],
-        **{name: getattr(options, name) for name in ("differences", "offsets", "report")},
-        **{"east": east, "north": north, "up": up, "determined": len(figures.determined)},
-        **dict(zip(("east_deviation", "north_deviation", "up_deviation"), figures.deviation)),
-        "seconds": round(time.monotonic() - start, 3),
-    }
+    east_deviation, north_deviation, up_deviation = figures.deviation
+    return RegisterResult(
+        output_scene=options.output_scene,
+        differences=options.differences,
+        offsets=options.offsets,
+        report=options.report,
+        other_scenes=tuple(outputs[1:]),
+        east=east,
+        north=north,
+        up=up,
+        determined=len(figures.determined),
+        east_deviation=east_deviation,
+        north_deviation=north_deviation,
+        up_deviation=up_deviation,
+        seconds=round(time.monotonic() - start, 3),
+    )
 
 
 def require_references(

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Dict
-
 from ..contracts.options import SeriesOptions
 from ..contracts.products import paths_of
+from ..contracts.results import SeriesResult
 from ..names import dates_title
 from ..reports.styles import write_style
 from ..runtime.parallel import run_whole
@@ -15,16 +14,16 @@ from ..series.layers import write_layers
 from ..series.page import series_page
 
 
-def run(options: SeriesOptions, progress: Progress) -> Dict[str, object]:
+def run(options: SeriesOptions, progress: Progress) -> SeriesResult:
     """Follow the surface; see docs/algorithms/series.md for what is significant.
 
     Raises ImageError, OverlapError, OptionError, InputTableError, EmptyResultError, WorkspaceError.
     """
-    result: Dict[str, object] = run_whole(_followed, options, progress, "following a surface over time")
+    result: SeriesResult = run_whole(_followed, options, progress, "following a surface over time")
     return result
 
 
-def _followed(options: SeriesOptions, progress: Progress) -> Dict[str, object]:
+def _followed(options: SeriesOptions, progress: Progress) -> SeriesResult:
     found = find_series(options, Part(progress, 0.0, 0.92))
     for text in found.warnings:
         progress.warn(text)
@@ -39,25 +38,25 @@ def _followed(options: SeriesOptions, progress: Progress) -> Dict[str, object]:
     _log(found, progress)
     progress.step(1.0, "Done")
     first = found.areas[0] if found.areas else None
-    return {
-        "output": options.output,
-        "trend": options.trend,
-        "changed": options.changed,
-        "volumes": options.volumes,
-        "table": options.table,
-        "layers": options.layers,
-        "report": options.report,
-        "dates": [each.label for each in found.series],
-        "maps": made,
-        "n_dates": len(found.series),
-        "areas": len(found.areas),
-        "rising_m2": found.rising,
-        "falling_m2": found.falling,
-        "volume_m3": float(first.volume[first.last]) if first else 0.0,
-        "volume_deviation_m3": float(first.deviation[first.last]) if first else 0.0,
-        "offsets_m": [float(offset) for offset in found.offsets],
-        "errors_m": [float(error) for error in found.errors.usual_m],
-    }
+    return SeriesResult(
+        output=options.output,
+        trend=options.trend,
+        changed=options.changed,
+        volumes=options.volumes,
+        table=options.table,
+        layers=options.layers,
+        report=options.report,
+        dates=tuple(each.label for each in found.series),
+        maps=tuple(made),
+        n_dates=len(found.series),
+        areas=len(found.areas),
+        rising_m2=found.rising,
+        falling_m2=found.falling,
+        volume_m3=float(first.volume[first.last]) if first else 0.0,
+        volume_deviation_m3=float(first.deviation[first.last]) if first else 0.0,
+        offsets_m=tuple(map(float, found.offsets)),
+        errors_m=tuple(map(float, found.errors.usual_m)),
+    )
 
 
 def _log(found: FoundSeries, progress: Progress) -> None:

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Dict
-
 from ..contracts.options import ViewerOptions
+from ..contracts.results import ViewerResult
 from ..runtime.parallel import run_whole
 from ..runtime.progress import Progress
 from ..viewer.page import write_viewer
 
 
-def run(options: ViewerOptions, progress: Progress) -> Dict[str, object]:
+def run(options: ViewerOptions, progress: Progress) -> ViewerResult:
     """Write the page; gives its path, and how many columns and rows of cells it has.
 
     Raises ImageError, EmptyResultError, OverlapError, MissingPackageError, WorkspaceError.
     """
-    result: Dict[str, object] = run_whole(written, options, progress, "making the page")
+    result: ViewerResult = run_whole(written, options, progress, "making the page")
     progress.step(1.0, "page written")
     return result
 
 
-def written(options: ViewerOptions, progress: Progress, name: str = "") -> Dict[str, object]:
+def written(options: ViewerOptions, progress: Progress, name: str = "") -> ViewerResult:
     """The page, with its size in the log; reports no progress."""
     facts = write_viewer(options, progress, name=name)
     columns, rows = facts.cells
@@ -30,4 +29,4 @@ def written(options: ViewerOptions, progress: Progress, name: str = "") -> Dict[
             f"Each of its heights is a mean over {facts.factor:.3g} cells of the DSM along each side: a page has at "
             f"most {options.cells} cells (CELLS of repm:viewer)."
         )
-    return {"viewer": options.viewer, "columns": columns, "rows": rows}
+    return ViewerResult(viewer=options.viewer, columns=columns, rows=rows)

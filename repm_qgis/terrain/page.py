@@ -7,8 +7,8 @@ from typing import Dict, List, Mapping, Sequence, Tuple
 import numpy as np
 
 from ..contracts.arrays import FloatArray, FloatImage
-from ..contracts.documents import JsonMapping
 from ..contracts.options import DtmOptions
+from ..contracts.results import DtmResult
 from ..reports import charts, pictures
 from ..reports.report import Report
 from .inputs import Surface
@@ -17,13 +17,13 @@ _PICTURE_PX = 700
 _TALL_M = 2.0  # lower heights are left out of the histogram: cars, hedges and noise
 
 
-def terrain_page(options: DtmOptions, surface: Surface, facts: JsonMapping, warnings: Sequence[str]) -> Report:
+def terrain_page(options: DtmOptions, surface: Surface, result: DtmResult, warnings: Sequence[str]) -> Report:
     """What was found: DSM, terrain and their difference beside each other, figures, and two profiles."""
     page = Report("Terrain of a DSM", f"{options.output}, of {options.scene or options.dsm}")
     few = "Most of the heights belong to objects: choose a smaller LARGEST or a larger SLOPE where hills are gone."
     page.verdict(
-        f"{facts['objects_percent']:.1f} % of the DSM's heights belong to objects.",
-        [*([few] if facts["objects_percent"] > 80 else []), *warnings],
+        f"{result.objects_percent:.1f} % of the DSM's heights belong to objects.",
+        [*([few] if result.objects_percent > 80 else []), *warnings],
     )
     heights: Dict[str, FloatImage] = {}
     cell = 1.0
@@ -50,8 +50,8 @@ def terrain_page(options: DtmOptions, surface: Surface, facts: JsonMapping, warn
     page.section("Figures").facts(
         [
             ("Cells", f"{columns} x {rows} of {surface.cell:g} m"),
-            ("Heights of the DSM that belong to objects", f"{facts['objects_percent']:.1f} %"),
-            ("Cells with a terrain", f"{facts['valid_percent']:.1f} %"),
+            ("Heights of the DSM that belong to objects", f"{result.objects_percent:.1f} %"),
+            ("Cells with a terrain", f"{result.valid_percent:.1f} %"),
             ("Largest object", f"{options.largest:g} m"),
             ("Steepest ground", f"{options.slope:g} %"),
             ("Confidence", surface.confidence or "none"),
