@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 PYTHON := .venv/bin/python
 
-.PHONY: help setup demo test test-most test-slow test-all bench bench-faults fuzz mutation identity lint lint-viewer tiles3d-tools cityjson-tools scan site package models i18n pictures clean
+.PHONY: help setup demo test test-most test-slow test-all bench bench-faults fuzz mutation identity lint types lint-viewer tiles3d-tools cityjson-tools scan site package tables models i18n pictures clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z0-9%-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -45,11 +45,20 @@ mutation: setup ## small faults in the code that a test must notice (SAMPLE=600,
 		{ echo "mutation: Cosmic Ray could not be installed into $(MUTATION): it needs the Python package index"; exit 1; }
 	@$(MUTATION)/bin/python benchmarks/mutation.py --sample $(or $(SAMPLE),600) --seed $(or $(SEED),1) $(if $(ONLY),--only '$(ONLY)') $(if $(AGAIN),--again)
 
-lint: setup ## ruff's rules and format over everything, types (mypy: strict for the engine, signatures for benchmarks), and lint-viewer
+# mypy follows the plugin's side into the engine only under the name that QGIS gives the plugin's folder.
+TYPES := dist/lint/types
+lint: setup ## ruff's rules and format over everything, types of all parts (mypy), and lint-viewer
 	@$(PYTHON) -m ruff check .
 	@$(PYTHON) -m ruff format --check --quiet . || { echo "lint: run '$(PYTHON) -m ruff format .'"; exit 1; }
-	@$(PYTHON) -m mypy
+	@$(MAKE) --no-print-directory types
 	@$(MAKE) --no-print-directory lint-viewer
+
+types: ## types alone (mypy): engine and benchmarks, the plugin's side, scripts and the tests' helpers
+	@$(PYTHON) -m mypy
+	@mkdir -p $(TYPES) && ln -sfn ../../.. $(TYPES)/repm
+	@MYPYPATH=$(TYPES) $(PYTHON) -m mypy --cache-dir .mypy_cache/plugin -p repm.processing_provider -p repm.desktop -m repm.plugin
+	@$(PYTHON) -m mypy --cache-dir .mypy_cache/scripts --explicit-package-bases --scripts-are-modules --allow-any-generics \
+		$$(git ls-files 'tests/*.py' | grep -v '/test_[^/]*$$') $$(git ls-files 'scripts/*.py') $$(git grep -lI -e '^#!.*python' -- 'scripts/*' ':!*.py')
 
 LINT := dist/lint/tool
 lint-viewer: ## the scripts of the viewer's page: rules and format (Biome), and types (TypeScript's checker); needs Node 20 with npm
@@ -83,6 +92,9 @@ site: ## the documents as a site in dist/site/pages; it fails where a link leads
 
 package: ## dist/repm-VERSION.zip for "Install from ZIP"
 	@/usr/bin/env python3 scripts/package dist
+
+tables: setup ## write the tables of results in docs/algorithms again
+	@$(PYTHON) scripts/result_tables.py
 
 models: setup ## write resources/models again
 	@QT_QPA_PLATFORM=offscreen QT_HASH_SEED=0 $(PYTHON) scripts/make_models.py

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from typing import TYPE_CHECKING, Optional
 
 from qgis.core import QgsApplication
 from qgis.PyQt.QtCore import QCoreApplication, QTranslator
@@ -11,17 +12,20 @@ from .processing_provider import engine
 from .processing_provider.language import locale
 from .processing_provider.provider import RepmProvider
 
+if TYPE_CHECKING:  # widgets: qgis_process has none
+    from .desktop.menu import PluginMenu
+
 _FOLDER = os.path.dirname(os.path.abspath(__file__))
 
 
 class RepmPlugin:
     """Registers the provider ``repm`` and the translator; ``unload`` undoes both."""
 
-    def __init__(self, iface) -> None:
+    def __init__(self, iface: object) -> None:
         self.iface = iface
-        self.provider = None
-        self.translator = None
-        self.menu = None
+        self.provider: Optional[RepmProvider] = None
+        self.translator: Optional[QTranslator] = None
+        self.menu: Optional[PluginMenu] = None
 
     def initProcessing(self) -> None:
         """Register the provider; qgis_process needs no more than this."""

@@ -5,6 +5,7 @@ The computation is the engine's (:mod:`repm_qgis.pointing.gcp_measuring`), and l
 
 from __future__ import annotations
 
+import math
 import os
 from typing import TYPE_CHECKING, Callable, Optional, Sequence
 
@@ -274,8 +275,8 @@ class ControlPointsDock(QgsDockWidget):
         if not self._tried(measure):
             return None
         self._say(" ".join(map(said, found.warnings)))
-        height = float(found.dsm_heights[0])
-        return height if np.isfinite(height) else None
+        height = math.nan if found.dsm_heights is None else float(found.dsm_heights[0])
+        return height if math.isfinite(height) else None
 
     # --- what the user does with a point ---
 
@@ -336,7 +337,7 @@ class ControlPointsDock(QgsDockWidget):
 
     def _open_layer(self, layer: object) -> None:
         try:
-            self.open_points(points_path(layer, QgsProcessingContext()))
+            self.open_points(str(points_path(layer, QgsProcessingContext())))
         except QgsProcessingException as error:
             self._say(said(str(error)))
 
@@ -367,7 +368,7 @@ class ControlPointsDock(QgsDockWidget):
         if row.isValid() and names[row.row()] != self._current:
             self.choose(names[row.row()])
 
-    def _set_views(self, views: Sequence[object]) -> None:
+    def _set_views(self, views: Sequence[View]) -> None:
         self.measuring.views = tuple(views)
         for panel in self.panels:
             panel.deleteLater()

@@ -35,6 +35,7 @@ from qgis.utils import iface
 from ..processing_provider import settings, words
 from ..processing_provider.last_scene import last_scene
 from ..processing_provider.values import is_empty
+from ..repm_qgis.contracts.documents import JsonMapping
 from ..repm_qgis.contracts.options import PRESETS
 from .next_step import STEPS, push_message
 
@@ -69,7 +70,7 @@ class Dialog(AlgorithmDialog):
             self._given = self.createProcessingParameters()
         super().runAlgorithm()
 
-    def finish(self, successful: bool, result: object, *more: object, **named: object) -> None:
+    def finish(self, successful: bool, result: JsonMapping, *more: object, **named: object) -> None:
         """Offers the next step on the map, and here as well, where this dialog stays open."""
         super().finish(successful, result, *more, **named)
         if not self.isVisible():

@@ -59,22 +59,6 @@
         <source>The area of the footprint. Below 50 m², many of the smaller things are crowns of trees.</source>
         <translation>Die Fläche des Grundrisses. Unter 50 m² sind viele der kleineren Dinge Baumkronen.</translation>
     </message>
-    <message>
-        <source>Number of buildings</source>
-        <translation>Anzahl der Gebäude</translation>
-    </message>
-    <message>
-        <source>Buildings with the planes of their roofs</source>
-        <translation>Gebäude mit den Ebenen ihrer Dächer</translation>
-    </message>
-    <message>
-        <source>Area of all footprints (m²)</source>
-        <translation>Fläche aller Grundrisse (m²)</translation>
-    </message>
-    <message>
-        <source>Volume of all buildings (m³)</source>
-        <translation>Volumen aller Gebäude (m³)</translation>
-    </message>
 </context>
 <context>
     <name>Change</name>
@@ -134,26 +118,6 @@
         <source>Smaller changes are left out: 50 m² keeps small houses and drops cars and single trees.</source>
         <translation>Kleinere Änderungen werden weggelassen: 50 m² behält kleine Häuser und lässt Autos und einzelne Bäume weg.</translation>
     </message>
-    <message>
-        <source>Number of significant changes</source>
-        <translation>Anzahl signifikanter Änderungen</translation>
-    </message>
-    <message>
-        <source>Volume gained (m³)</source>
-        <translation>Gewonnenes Volumen (m³)</translation>
-    </message>
-    <message>
-        <source>Its standard deviation (m³)</source>
-        <translation>Dessen Standardabweichung (m³)</translation>
-    </message>
-    <message>
-        <source>Volume lost (m³)</source>
-        <translation>Verlorenes Volumen (m³)</translation>
-    </message>
-    <message>
-        <source>Level of detection, median (m)</source>
-        <translation>Nachweisgrenze, Median (m)</translation>
-    </message>
 </context>
 <context>
     <name>CheckGcps</name>
@@ -180,30 +144,6 @@
     <message>
         <source>Its heights are compared with those of the points that lie on it.</source>
         <translation>Seine Höhen werden mit denen der Punkte verglichen, die darauf liegen.</translation>
-    </message>
-    <message>
-        <source>RPC localisation</source>
-        <translation>RPC-Lokalisierung</translation>
-    </message>
-    <message>
-        <source>RPCs with image-space compensation</source>
-        <translation>RPC mit Korrektur im Bildraum</translation>
-    </message>
-    <message>
-        <source>the scene's pointing</source>
-        <translation>die Ausrichtung der Szene</translation>
-    </message>
-    <message>
-        <source>the DSM</source>
-        <translation>das DOM</translation>
-    </message>
-    <message>
-        <source>{figure} of heights by {source} (m)</source>
-        <translation>{figure} der Höhen durch {source} (m)</translation>
-    </message>
-    <message>
-        <source>CE90 of positions by {source} (m)</source>
-        <translation>CE90 der Lage durch {source} (m)</translation>
     </message>
 </context>
 <context>
@@ -271,30 +211,6 @@
     <message>
         <source>Lines along which heights are shown, named by their field 'name'. Empty: two lines through the middle.</source>
         <translation>Linien, entlang derer Höhen gezeigt werden, benannt nach ihrem Feld 'name'. Leer: zwei Linien durch die Mitte.</translation>
-    </message>
-    <message>
-        <source>RMSE (m)</source>
-        <translation>RMSE (m)</translation>
-    </message>
-    <message>
-        <source>Median absolute error (m)</source>
-        <translation>Median des absoluten Fehlers (m)</translation>
-    </message>
-    <message>
-        <source>Mean absolute error (m)</source>
-        <translation>Mittlerer absoluter Fehler (m)</translation>
-    </message>
-    <message>
-        <source>Normalised median absolute deviation (m)</source>
-        <translation>Normalisierte mediane absolute Abweichung (m)</translation>
-    </message>
-    <message>
-        <source>LE90 (m): nine of ten heights are off by no more</source>
-        <translation>LE90 (m): neun von zehn Höhen sind höchstens so falsch</translation>
-    </message>
-    <message>
-        <source>Completeness at the first threshold (%)</source>
-        <translation>Vollständigkeit an der ersten Schwelle (%)</translation>
     </message>
 </context>
 <context>
@@ -438,10 +354,6 @@
         <source>Makes one DSM from the height maps of all pairs, without outliers, and with its confidence.</source>
         <translation>Ein DOM aus den Höhenkarten aller Paare, ohne Ausreißer und mit seiner Konfidenz.</translation>
     </message>
-    <message>
-        <source>Cells with a height (%)</source>
-        <translation>Zellen mit Höhe (%)</translation>
-    </message>
 </context>
 <context>
     <name>Dtm</name>
@@ -501,14 +413,6 @@
         <source>inside: where heights surround the void, and it is no wider than the largest object; none: nowhere.</source>
         <translation>inside: wo Höhen die Lücke umgeben und sie nicht breiter als das größte Objekt ist; none: nirgends.</translation>
     </message>
-    <message>
-        <source>Heights that belong to objects (%)</source>
-        <translation>Höhen, die zu Objekten gehören (%)</translation>
-    </message>
-    <message>
-        <source>Cells with a terrain (%)</source>
-        <translation>Zellen mit Gelände (%)</translation>
-    </message>
 </context>
 <context>
     <name>EditDsm</name>
@@ -543,14 +447,6 @@
     <message>
         <source>The raster that was written with the DSM. It is not changed.</source>
         <translation>Das Raster, das mit dem DOM geschrieben wurde. Es wird nicht verändert.</translation>
-    </message>
-    <message>
-        <source>Number of edits</source>
-        <translation>Zahl der Bearbeitungen</translation>
-    </message>
-    <message>
-        <source>Cells that edits cover</source>
-        <translation>Zellen, die Bearbeitungen bedecken</translation>
     </message>
 </context>
 <context>
@@ -606,18 +502,6 @@
         <source>Fits pinhole cameras to images with RPCs, tile by tile, and measures the error that this causes.</source>
         <translation>Passt Lochkameras an Bilder mit RPC an, Kachel für Kachel, und misst den Fehler, der dadurch entsteht.</translation>
     </message>
-    <message>
-        <source>Scene</source>
-        <translation>Szene</translation>
-    </message>
-    <message>
-        <source>Equivalent error, RMSE (px)</source>
-        <translation>Äquivalenter Fehler, RMSE (px)</translation>
-    </message>
-    <message>
-        <source>Equivalent error, largest (px)</source>
-        <translation>Äquivalenter Fehler, größter (px)</translation>
-    </message>
 </context>
 <context>
     <name>ErrorMap</name>
@@ -644,14 +528,6 @@
     <message>
         <source>Metres above the WGS 84 ellipsoid. Empty: the middle of the scene's range.</source>
         <translation>Meter über dem Ellipsoid WGS 84. Leer: die Mitte des Bereichs der Szene.</translation>
-    </message>
-    <message>
-        <source>Equivalent error, RMSE (px)</source>
-        <translation>Äquivalenter Fehler, RMSE (px)</translation>
-    </message>
-    <message>
-        <source>Equivalent error, largest (px)</source>
-        <translation>Äquivalenter Fehler, größter (px)</translation>
     </message>
 </context>
 <context>
@@ -700,10 +576,6 @@
         <source>8: PNG (JPEG for mvsnet), intensity stretched as for matching; 16: TIFF with the images' own values, which fewer programs read.</source>
         <translation>8: PNG (JPEG für mvsnet), Helligkeit gestreckt wie für die Zuordnung; 16: TIFF mit den Werten der Bilder selbst, das weniger Programme lesen.</translation>
     </message>
-    <message>
-        <source>Number of images</source>
-        <translation>Anzahl der Bilder</translation>
-    </message>
 </context>
 <context>
     <name>ExportRpc</name>
@@ -718,14 +590,6 @@
     <message>
         <source>Reconstructed scene</source>
         <translation>Rekonstruierte Szene</translation>
-    </message>
-    <message>
-        <source>Images with corrected RPCs</source>
-        <translation>Bilder mit korrigierten RPC</translation>
-    </message>
-    <message>
-        <source>Largest difference from the pointed model (px)</source>
-        <translation>Größte Abweichung vom ausgerichteten Modell (px)</translation>
     </message>
 </context>
 <context>
@@ -855,22 +719,6 @@
         <source>Footprints, overlaps, and the pairs that are worth matching: in seconds, before any matching.</source>
         <translation>Bildflächen, Überlappungen und lohnende Bildpaare: in Sekunden, noch vor jeder Bildzuordnung.</translation>
     </message>
-    <message>
-        <source>Number of images that can be used</source>
-        <translation>Anzahl der verwendbaren Bilder</translation>
-    </message>
-    <message>
-        <source>Number of pairs that are worth matching</source>
-        <translation>Anzahl der Paare, deren Zuordnung sich lohnt</translation>
-    </message>
-    <message>
-        <source>Images of the best pair</source>
-        <translation>Bilder des besten Paars</translation>
-    </message>
-    <message>
-        <source>Images of the best triplet</source>
-        <translation>Bilder des besten Tripels</translation>
-    </message>
 </context>
 <context>
     <name>MapModel</name>
@@ -933,14 +781,6 @@
         <source>The better of two heights counts for more. Empty: all heights count equally.</source>
         <translation>Die bessere von zwei Höhen zählt mehr. Leer: Alle Höhen zählen gleich.</translation>
     </message>
-    <message>
-        <source>Cells with a height (%)</source>
-        <translation>Zellen mit Höhe (%)</translation>
-    </message>
-    <message>
-        <source>Difference of two DSMs along the seams, median (m)</source>
-        <translation>Unterschied zweier DOM entlang der Nähte, Median (m)</translation>
-    </message>
 </context>
 <context>
     <name>Panel</name>
@@ -962,18 +802,6 @@
     <message>
         <source>All stages in one run: pinhole cameras, refinement, tie points, dense matching, fusion.</source>
         <translation>Alle Stufen in einem Lauf: Lochkameras, Verfeinerung, Verknüpfungspunkte, dichte Zuordnung, Fusion.</translation>
-    </message>
-    <message>
-        <source>Scene</source>
-        <translation>Szene</translation>
-    </message>
-    <message>
-        <source>Number of tie points</source>
-        <translation>Anzahl der Verknüpfungspunkte</translation>
-    </message>
-    <message>
-        <source>Cells with a height (%)</source>
-        <translation>Zellen mit Höhe (%)</translation>
     </message>
 </context>
 <context>
@@ -1060,14 +888,6 @@
         <source>Tie points and relative pointing of the views, then a height map of every pair and tile.</source>
         <translation>Verknüpfungspunkte und relative Ausrichtung der Ansichten, dann eine Höhenkarte je Paar und Kachel.</translation>
     </message>
-    <message>
-        <source>Report of the matching</source>
-        <translation>Bericht über die Bildzuordnung</translation>
-    </message>
-    <message>
-        <source>Number of tie points</source>
-        <translation>Anzahl der Verknüpfungspunkte</translation>
-    </message>
 </context>
 <context>
     <name>Refine</name>
@@ -1078,14 +898,6 @@
     <message>
         <source>Resamples every view's tiles to what its pinhole camera would have seen.</source>
         <translation>Rechnet die Kacheln jeder Ansicht auf das um, was ihre Lochkamera gesehen hätte.</translation>
-    </message>
-    <message>
-        <source>Remaining equivalent error, RMSE (px)</source>
-        <translation>Verbleibender äquivalenter Fehler, RMSE (px)</translation>
-    </message>
-    <message>
-        <source>Remaining equivalent error, largest (px)</source>
-        <translation>Verbleibender äquivalenter Fehler, größter (px)</translation>
     </message>
 </context>
 <context>
@@ -1113,26 +925,6 @@
     <message>
         <source>Reconstructed scenes of the same strip or mosaic: all are placed together, so that no step is left between their DSMs. Each is written beside its own file (..._registered.json).</source>
         <translation>Rekonstruierte Szenen desselben Streifens oder Mosaiks: Alle werden gemeinsam eingepasst, sodass keine Stufe zwischen ihren DOM bleibt. Jede wird neben ihre eigene Datei geschrieben (..._registered.json).</translation>
-    </message>
-    <message>
-        <source>to the east</source>
-        <translation>nach Osten</translation>
-    </message>
-    <message>
-        <source>to the north</source>
-        <translation>nach Norden</translation>
-    </message>
-    <message>
-        <source>up</source>
-        <translation>nach oben</translation>
-    </message>
-    <message>
-        <source>Added {direction} (m)</source>
-        <translation>Verschiebung {direction} (m)</translation>
-    </message>
-    <message>
-        <source>Standard deviation {direction} (m)</source>
-        <translation>Standardabweichung {direction} (m)</translation>
     </message>
 </context>
 <context>
@@ -2177,6 +1969,262 @@
         <source>Report of the environment</source>
         <translation>Bericht über die Umgebung</translation>
     </message>
+    <message>
+        <source>Number of images that can be used</source>
+        <translation>Anzahl der verwendbaren Bilder</translation>
+    </message>
+    <message>
+        <source>Number of pairs that are worth matching</source>
+        <translation>Anzahl der Paare, deren Zuordnung sich lohnt</translation>
+    </message>
+    <message>
+        <source>Images of the best pair</source>
+        <translation>Bilder des besten Paars</translation>
+    </message>
+    <message>
+        <source>Images of the best triplet</source>
+        <translation>Bilder des besten Tripels</translation>
+    </message>
+    <message>
+        <source>Equivalent error, RMSE (px)</source>
+        <translation>Äquivalenter Fehler, RMSE (px)</translation>
+    </message>
+    <message>
+        <source>Equivalent error, largest (px)</source>
+        <translation>Äquivalenter Fehler, größter (px)</translation>
+    </message>
+    <message>
+        <source>Remaining equivalent error, RMSE (px)</source>
+        <translation>Verbleibender äquivalenter Fehler, RMSE (px)</translation>
+    </message>
+    <message>
+        <source>Remaining equivalent error, largest (px)</source>
+        <translation>Verbleibender äquivalenter Fehler, größter (px)</translation>
+    </message>
+    <message>
+        <source>Number of images</source>
+        <translation>Anzahl der Bilder</translation>
+    </message>
+    <message>
+        <source>Images with corrected RPCs</source>
+        <translation>Bilder mit korrigierten RPC</translation>
+    </message>
+    <message>
+        <source>Largest difference from the pointed model (px)</source>
+        <translation>Größte Abweichung vom ausgerichteten Modell (px)</translation>
+    </message>
+    <message>
+        <source>Report of the matching</source>
+        <translation>Bericht über die Bildzuordnung</translation>
+    </message>
+    <message>
+        <source>Number of tie points</source>
+        <translation>Anzahl der Verknüpfungspunkte</translation>
+    </message>
+    <message>
+        <source>Added to the east (m)</source>
+        <translation>Verschiebung nach Osten (m)</translation>
+    </message>
+    <message>
+        <source>Added to the north (m)</source>
+        <translation>Verschiebung nach Norden (m)</translation>
+    </message>
+    <message>
+        <source>Added up (m)</source>
+        <translation>Verschiebung nach oben (m)</translation>
+    </message>
+    <message>
+        <source>Standard deviation to the east (m)</source>
+        <translation>Standardabweichung nach Osten (m)</translation>
+    </message>
+    <message>
+        <source>Standard deviation to the north (m)</source>
+        <translation>Standardabweichung nach Norden (m)</translation>
+    </message>
+    <message>
+        <source>Standard deviation up (m)</source>
+        <translation>Standardabweichung nach oben (m)</translation>
+    </message>
+    <message>
+        <source>Cells with a height (%)</source>
+        <translation>Zellen mit Höhe (%)</translation>
+    </message>
+    <message>
+        <source>Difference of two DSMs along the seams, median (m)</source>
+        <translation>Unterschied zweier DOM entlang der Nähte, Median (m)</translation>
+    </message>
+    <message>
+        <source>Heights that belong to objects (%)</source>
+        <translation>Höhen, die zu Objekten gehören (%)</translation>
+    </message>
+    <message>
+        <source>Cells with a terrain (%)</source>
+        <translation>Zellen mit Gelände (%)</translation>
+    </message>
+    <message>
+        <source>Number of buildings</source>
+        <translation>Anzahl der Gebäude</translation>
+    </message>
+    <message>
+        <source>Buildings with the planes of their roofs</source>
+        <translation>Gebäude mit den Ebenen ihrer Dächer</translation>
+    </message>
+    <message>
+        <source>Area of all footprints (m²)</source>
+        <translation>Fläche aller Grundrisse (m²)</translation>
+    </message>
+    <message>
+        <source>Volume of all buildings (m³)</source>
+        <translation>Volumen aller Gebäude (m³)</translation>
+    </message>
+    <message>
+        <source>Number of edits</source>
+        <translation>Zahl der Bearbeitungen</translation>
+    </message>
+    <message>
+        <source>Cells that edits cover</source>
+        <translation>Zellen, die Bearbeitungen bedecken</translation>
+    </message>
+    <message>
+        <source>RMSE (m)</source>
+        <translation>RMSE (m)</translation>
+    </message>
+    <message>
+        <source>Median absolute error (m)</source>
+        <translation>Median des absoluten Fehlers (m)</translation>
+    </message>
+    <message>
+        <source>Mean absolute error (m)</source>
+        <translation>Mittlerer absoluter Fehler (m)</translation>
+    </message>
+    <message>
+        <source>Normalised median absolute deviation (m)</source>
+        <translation>Normalisierte mediane absolute Abweichung (m)</translation>
+    </message>
+    <message>
+        <source>LE90 (m): nine of ten heights are off by no more</source>
+        <translation>LE90 (m): neun von zehn Höhen sind höchstens so falsch</translation>
+    </message>
+    <message>
+        <source>Completeness at the first threshold (%)</source>
+        <translation>Vollständigkeit an der ersten Schwelle (%)</translation>
+    </message>
+    <message>
+        <source>Number of significant changes</source>
+        <translation>Anzahl signifikanter Änderungen</translation>
+    </message>
+    <message>
+        <source>Volume gained (m³)</source>
+        <translation>Gewonnenes Volumen (m³)</translation>
+    </message>
+    <message>
+        <source>Its standard deviation (m³)</source>
+        <translation>Dessen Standardabweichung (m³)</translation>
+    </message>
+    <message>
+        <source>Volume lost (m³)</source>
+        <translation>Verlorenes Volumen (m³)</translation>
+    </message>
+    <message>
+        <source>Level of detection, median (m)</source>
+        <translation>Nachweisgrenze, Median (m)</translation>
+    </message>
+    <message>
+        <source>Number of dates</source>
+        <translation>Zahl der Zeitpunkte</translation>
+    </message>
+    <message>
+        <source>Ground that rises significantly (m²)</source>
+        <translation>Boden, der signifikant steigt (m²)</translation>
+    </message>
+    <message>
+        <source>Ground that falls significantly (m²)</source>
+        <translation>Boden, der signifikant sinkt (m²)</translation>
+    </message>
+    <message>
+        <source>Volume of the first area at the last date (m³)</source>
+        <translation>Volumen der ersten Fläche am letzten Zeitpunkt (m³)</translation>
+    </message>
+    <message>
+        <source>MedAE of heights by RPC localisation (m)</source>
+        <translation>MedAE der Höhen durch RPC-Lokalisierung (m)</translation>
+    </message>
+    <message>
+        <source>RMSE of heights by RPC localisation (m)</source>
+        <translation>RMSE der Höhen durch RPC-Lokalisierung (m)</translation>
+    </message>
+    <message>
+        <source>LE90 of heights by RPC localisation (m)</source>
+        <translation>LE90 der Höhen durch RPC-Lokalisierung (m)</translation>
+    </message>
+    <message>
+        <source>Max of heights by RPC localisation (m)</source>
+        <translation>Max der Höhen durch RPC-Lokalisierung (m)</translation>
+    </message>
+    <message>
+        <source>MedAE of heights by RPCs with image-space compensation (m)</source>
+        <translation>MedAE der Höhen durch RPC mit Korrektur im Bildraum (m)</translation>
+    </message>
+    <message>
+        <source>RMSE of heights by RPCs with image-space compensation (m)</source>
+        <translation>RMSE der Höhen durch RPC mit Korrektur im Bildraum (m)</translation>
+    </message>
+    <message>
+        <source>LE90 of heights by RPCs with image-space compensation (m)</source>
+        <translation>LE90 der Höhen durch RPC mit Korrektur im Bildraum (m)</translation>
+    </message>
+    <message>
+        <source>Max of heights by RPCs with image-space compensation (m)</source>
+        <translation>Max der Höhen durch RPC mit Korrektur im Bildraum (m)</translation>
+    </message>
+    <message>
+        <source>MedAE of heights by the scene's pointing (m)</source>
+        <translation>MedAE der Höhen durch die Ausrichtung der Szene (m)</translation>
+    </message>
+    <message>
+        <source>RMSE of heights by the scene's pointing (m)</source>
+        <translation>RMSE der Höhen durch die Ausrichtung der Szene (m)</translation>
+    </message>
+    <message>
+        <source>LE90 of heights by the scene's pointing (m)</source>
+        <translation>LE90 der Höhen durch die Ausrichtung der Szene (m)</translation>
+    </message>
+    <message>
+        <source>Max of heights by the scene's pointing (m)</source>
+        <translation>Max der Höhen durch die Ausrichtung der Szene (m)</translation>
+    </message>
+    <message>
+        <source>MedAE of heights by the DSM (m)</source>
+        <translation>MedAE der Höhen durch das DOM (m)</translation>
+    </message>
+    <message>
+        <source>RMSE of heights by the DSM (m)</source>
+        <translation>RMSE der Höhen durch das DOM (m)</translation>
+    </message>
+    <message>
+        <source>LE90 of heights by the DSM (m)</source>
+        <translation>LE90 der Höhen durch das DOM (m)</translation>
+    </message>
+    <message>
+        <source>Max of heights by the DSM (m)</source>
+        <translation>Max der Höhen durch das DOM (m)</translation>
+    </message>
+    <message>
+        <source>CE90 of positions by RPC localisation (m)</source>
+        <translation>CE90 der Lage durch RPC-Lokalisierung (m)</translation>
+    </message>
+    <message>
+        <source>CE90 of positions by RPCs with image-space compensation (m)</source>
+        <translation>CE90 der Lage durch RPC mit Korrektur im Bildraum (m)</translation>
+    </message>
+    <message>
+        <source>CE90 of positions by the scene's pointing (m)</source>
+        <translation>CE90 der Lage durch die Ausrichtung der Szene (m)</translation>
+    </message>
+    <message>
+        <source>The file to open: tileset.json</source>
+        <translation>Die Datei zum Öffnen: tileset.json</translation>
+    </message>
 </context>
 <context>
     <name>RepmProvider</name>
@@ -2462,8 +2510,8 @@
         <translation>Derselbe Startwert erzeugt dieselben Dateien.</translation>
     </message>
     <message>
-        <source>Images</source>
-        <translation>Bilder</translation>
+        <source>Sample images</source>
+        <translation>Beispielbilder</translation>
     </message>
     <message>
         <source>True DSM</source>
@@ -2472,10 +2520,6 @@
     <message>
         <source>Ground control points</source>
         <translation>Passpunkte</translation>
-    </message>
-    <message>
-        <source>Sample images</source>
-        <translation>Beispielbilder</translation>
     </message>
 </context>
 <context>
@@ -2531,30 +2575,6 @@
     <message>
         <source>Heights that were filled in do not count then, and each height has its own error. Empty: one error for each date, found where nothing changed.</source>
         <translation>Dann zählen gefüllte Höhen nicht, und jede Höhe hat ihren eigenen Fehler. Leer: ein Fehler je Zeitpunkt, bestimmt, wo sich nichts geändert hat.</translation>
-    </message>
-    <message>
-        <source>Layers of the dates</source>
-        <translation>Layer der Zeitpunkte</translation>
-    </message>
-    <message>
-        <source>Number of dates</source>
-        <translation>Zahl der Zeitpunkte</translation>
-    </message>
-    <message>
-        <source>Ground that rises significantly (m²)</source>
-        <translation>Boden, der signifikant steigt (m²)</translation>
-    </message>
-    <message>
-        <source>Ground that falls significantly (m²)</source>
-        <translation>Boden, der signifikant sinkt (m²)</translation>
-    </message>
-    <message>
-        <source>Volume of the first area at the last date (m³)</source>
-        <translation>Volumen der ersten Fläche am letzten Zeitpunkt (m³)</translation>
-    </message>
-    <message>
-        <source>Its standard deviation (m³)</source>
-        <translation>Dessen Standardabweichung (m³)</translation>
     </message>
     <message>
         <source>Heights</source>
@@ -2720,10 +2740,6 @@
     <message>
         <source>A picture to drape over the surface, grey or in colour, in any CRS. Empty: a hillshade. For a point cloud: leave it empty, its points keep their own colours.</source>
         <translation>Ein Bild, das über die Oberfläche gelegt wird, grau oder farbig, in einem beliebigen KBS. Leer: eine Schummerung. Für eine Punktwolke leer lassen: Ihre Punkte behalten ihre eigenen Farben.</translation>
-    </message>
-    <message>
-        <source>The file to open: tileset.json</source>
-        <translation>Die Datei zum Öffnen: tileset.json</translation>
     </message>
 </context>
 <context>

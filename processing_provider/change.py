@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Mapping
-
+from ..repm_qgis.contracts.documents import JsonMapping
 from ..repm_qgis.contracts.options import ChangeOptions
 from . import parameters
 from .base import RepmAlgorithm
@@ -66,12 +65,12 @@ class Change(RepmAlgorithm):
             *(parameters.product(self.ID, name) for name in ("output", "significant", "volumes", "report")),
         ]
 
-    def _scene_name(self, options: Mapping[str, object]) -> str:
+    def _scene_name(self, options: JsonMapping) -> str:
         from ..repm_qgis.names import dates_name
 
         return dates_name(options["before"], options["after"])
 
-    def _days(self, options: Mapping[str, object], result: Mapping[str, object]) -> list[str]:
+    def _days(self, options: JsonMapping, result: JsonMapping) -> list[str]:
         from ..repm_qgis.names import surface_days
 
         return sorted({*surface_days(options["before"]), *surface_days(options["after"])})

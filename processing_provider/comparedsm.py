@@ -70,7 +70,7 @@ class CompareDsm(RepmAlgorithm):
                 QgsProcessingParameterString(
                     "THRESHOLDS",
                     self.tr("Thresholds of the completeness (m)"),
-                    "; ".join(f"{height:g}" for height in CompareDsmOptions.option("thresholds").default),
+                    "; ".join(f"{height:g}" for height in CompareDsmOptions.default_of("thresholds")),
                 ),
                 self.tr("For each of these: the share of the reference's cells whose height is right to within it."),
             ),

@@ -7,6 +7,8 @@ from typing import Mapping
 from qgis.core import Qgis, QgsProcessingException, QgsProcessingFeedback, QgsProcessingParameterFile
 
 from ..repm_qgis.contracts.options import EnvironmentOptions
+from ..repm_qgis.contracts.results import EnvironmentResult
+from ..repm_qgis.contracts.stages import ENVIRONMENT
 from ..repm_qgis.runtime.packages import REQUIREMENTS, requirements_of, sizes_mb
 from . import engine, installation, parameters
 from .base import RepmAlgorithm
@@ -61,17 +63,17 @@ class Environment(RepmAlgorithm):
     def complete(self, options: dict[str, object]) -> dict[str, object]:
         return {**options, "wheels": options.get("wheels") or ""}
 
-    def run_stage(self, options: Mapping[str, object], feedback: QgsProcessingFeedback) -> dict[str, object]:
+    def run_stage(self, options: Mapping[str, object], feedback: QgsProcessingFeedback) -> EnvironmentResult:
         """In the engine's interpreter, which is the one that matters; in QGIS's where that one does not run."""
         feedback.pushInfo(self.tr("QGIS {version}").format(version=Qgis.version()))
         with engine.sigterm_cancels(feedback):
             installation.run(options, feedback)
             return self._report(options, feedback)
 
-    def _report(self, options: Mapping[str, object], feedback: QgsProcessingFeedback) -> dict[str, object]:
+    def _report(self, options: Mapping[str, object], feedback: QgsProcessingFeedback) -> EnvironmentResult:
         options = {"report": options.get("report")}
         try:
-            return engine.run_apart(self.ID, options, feedback)
+            return engine.run_apart(ENVIRONMENT, options, feedback)
         except QgsProcessingException as error:
             if feedback.isCanceled():
                 raise
@@ -80,4 +82,4 @@ class Environment(RepmAlgorithm):
                     reason=error
                 )
             )
-            return engine.run_here(self.ID, options, feedback)
+            return engine.run_here(ENVIRONMENT, options, feedback)

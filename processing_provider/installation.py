@@ -11,6 +11,7 @@ from qgis.PyQt.QtNetwork import QNetworkProxy
 
 from ..repm_qgis.contracts.documents import JsonMapping
 from ..repm_qgis.contracts.errors import RepmError
+from ..repm_qgis.contracts.stages import ENVIRONMENT
 from ..repm_qgis.installer import environments
 from ..repm_qgis.installer.install import log_of, planned
 from ..repm_qgis.installer.interpreter import Interpreter, program_in, qgis_python
@@ -19,7 +20,6 @@ from . import engine, settings
 from .language import said
 
 FINE, MISSING, EARLIER = "fine", "missing", "earlier"
-_STAGE = "environment"
 
 
 def state() -> str:
@@ -67,7 +67,7 @@ def install(wheels: str, proxy_address: str, feedback: QgsProcessingFeedback) ->
     """Install the engine's packages; the folder of the environment. Raises QgsProcessingException in one sentence."""
     made = plan(wheels, proxy_address)
     options = {"install": True, "folder": made.folder, "wheels": wheels, "proxy": proxy_address}
-    return str(engine.run_apart(_STAGE, options, feedback, made.program)["folder"])
+    return str(engine.run_apart(ENVIRONMENT, options, feedback, made.program).folder)
 
 
 def log_path() -> str:
@@ -89,7 +89,7 @@ def folders() -> list[str]:
 def remove(feedback: QgsProcessingFeedback) -> None:
     """Remove the environments of this profile; raises QgsProcessingException where a program runs in one."""
     for folder in folders():
-        engine.run_here(_STAGE, {"remove": True, "folder": folder}, feedback)
+        engine.run_here(ENVIRONMENT, {"remove": True, "folder": folder}, feedback)
     if not folders():
         feedback.pushInfo(f"No environment of the engine is left in '{engine.homes()[0]}'.")
 

@@ -63,7 +63,7 @@ def register(icon_path: str) -> None:
     )
     kinds = {bool: None, int: Setting.INT, float: Setting.FLOAT}
     for (name, setting), label in zip(COLMAP.items(), _colmap_labels()):
-        default = ReconstructOptions.option(name.lower()).default
+        default = ReconstructOptions.default_of(name.lower())
         ProcessingConfig.addSetting(Setting(GROUP, setting, label, default, valuetype=kinds[type(default)]))
     ProcessingConfig.readSettings()
 
@@ -122,7 +122,7 @@ def of_parameter(name: str) -> object:
     """The settings' value of a parameter that dialogs leave to them; the option's default where they have none."""
     if name == "CLUSTER":
         return cluster()
-    default = ReconstructOptions.option(name.lower()).default
+    default = ReconstructOptions.default_of(name.lower())
     try:
         value = _value(COLMAP[name])
         return default if value in (None, "") else type(default)(value)

@@ -2,9 +2,9 @@
 """Bring i18n/*.ts and i18n/engine_*.json up to date with the source ('make i18n'): ``scripts/i18n.py [LANGUAGE ...]``.
 
 The dialogs' texts (.ts, compiled to .qm) are found in the syntax tree: self.tr("...") in a class, tr("...") and
-_tr("...") of a module, and the names of groups; those of products in their table. The engine's (.json) are all others
-that a person may read, see engine_texts. Translations are kept as long as their text is in the source. A new language
-starts empty. Ends with 1 where a translation is missing.
+_tr("...") of a module, and the names of groups; those of products and of results in their tables. The engine's (.json)
+are all others that a person may read, see engine_texts. Translations are kept as long as their text is in the source. A
+new language starts empty. Ends with 1 where a translation is missing.
 """
 
 from __future__ import annotations
@@ -71,10 +71,17 @@ def texts_of_products() -> list[str]:
     return [text for product in PRODUCTS for text in (product.title, product.layer, product.help) if text]
 
 
+def labels_of_results() -> list[str]:
+    sys.path.insert(0, str(ROOT))
+    from repm_qgis.contracts.stages import STAGES
+
+    return [meaning.label for stage in STAGES.values() for meaning in stage.result.outputs().values()]
+
+
 def source() -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     modules = [texts_of(path) for folder in FOLDERS for path in sorted(folder.glob("*.py"))]
-    for texts_by_context in (*modules, {MODULES["parameters.py"]: texts_of_products()}):
+    for texts_by_context in (*modules, {MODULES["parameters.py"]: [*texts_of_products(), *labels_of_results()]}):
         for context, texts in texts_by_context.items():
             known = found.setdefault(context, [])
             known += [text for text in dict.fromkeys(texts) if text not in known]
@@ -142,6 +149,7 @@ WORDS = (
 _MOST_FORMS = 16
 _PASSED_OVER = {
     ROOT / "repm_qgis" / "contracts" / "products.py",  # the dialogs have its texts; pages show titles only
+    ROOT / "repm_qgis" / "contracts" / "results.py",  # the dialogs have its labels; the rest is for English documents
     ROOT / "repm_qgis" / "command_line.py",  # a terminal's help, whose options are English words
     ROOT / "repm_qgis" / "imagery" / "sensors.py",  # names, patterns and citations, the same in every language
 }

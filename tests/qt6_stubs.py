@@ -213,7 +213,7 @@ class QgsProcessingAlgorithm:
         return self._provider
 
 
-class QgsProcessingProvider(QtCore.QObject):
+class QgsProcessingProvider(QtCore.QObject):  # type: ignore[name-defined]
     def __init__(self, parent=None):
         super().__init__(parent)
         self._algorithms = []
@@ -288,7 +288,7 @@ class _Anything(type(QtWidgets.QWidget)):
         return mock.MagicMock(name=f"{cls.__name__}.{name}")
 
 
-class QgsApplication(QtWidgets.QApplication, metaclass=_Anything):
+class QgsApplication(QtWidgets.QApplication, metaclass=_Anything):  # type: ignore[name-defined]
     _registry = Registry()
 
     _profile = tempfile.TemporaryDirectory(prefix="repm-qt6-")

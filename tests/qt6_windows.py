@@ -144,7 +144,7 @@ def first_steps(menu, sample):
         message = offer.offer_once(menu._iface, menu.install)
         press(message)
         menu._iface.messageBar().popWidget(message)
-    gui.DIALOGS[-1].algorithmFinished.emit(True, {"FOLDER": os.path.dirname(sample["images"][0])})
+    gui.DIALOGS[-1].algorithmFinished.emit(True, {"FOLDER": os.path.dirname(sample.images[0])})
     press(menu._panel)
     assert gui.DIALOGS[-1].algorithm().name() == "pipeline", "the step after the images"
 
@@ -201,9 +201,9 @@ def grids(menu, folder):
 
 def control_points(menu, parts, sample, folder):
     dock = menu.measure_control_points()
-    ANSWERS["getOpenFileNames"] = (sample["images"], "")
+    ANSWERS["getOpenFileNames"] = (sample.images, "")
     press(dock, "1. Images or scene…")
-    assert len(dock.panels) == len(sample["images"]), dock.said.text()
+    assert len(dock.panels) == len(sample.images), dock.said.text()
     rpc = dock.measuring.views[0].rpc
     table = folder / "points.csv"
     rows = [f"p{step},{rpc.lon_off + 1e-5 * step},{rpc.lat_off},{rpc.height_off}" for step in range(3)]
@@ -252,7 +252,7 @@ def control_points(menu, parts, sample, folder):
 
 def edit(menu, parts, sample, folder, apply):
     dsm = str(folder / "dsm.tif")
-    shutil.copy(sample["truth"], dsm)
+    shutil.copy(sample.truth, dsm)
     layer = gui.QgsRasterLayer(dsm, "dsm")
     gui.QgsProject.instance().addMapLayer(layer)
     dock = menu.edit_dsm()

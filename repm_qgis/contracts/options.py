@@ -121,9 +121,14 @@ class Options(metaclass=_ByName):
         return [each.name for each in dataclasses.fields(cls)]
 
     @classmethod
-    def option(cls, name: str) -> "dataclasses.Field[object]":
+    def option(cls, name: str) -> "dataclasses.Field[Any]":
         """The declaration of one option: its default, and its check in ``metadata``."""
         return next(each for each in dataclasses.fields(cls) if each.name == name)
+
+    @classmethod
+    def default_of(cls, name: str) -> Default:
+        """The default of an option that has one."""
+        return cls.option(name).default
 
     @classmethod
     def from_json(cls: Type[T], values: JsonMapping) -> T:
@@ -514,7 +519,7 @@ class PipelineOptions(Options):
         return list(dict.fromkeys([*names, *cls.OWN]))
 
     @classmethod
-    def option(cls, name: str) -> "dataclasses.Field[object]":
+    def option(cls, name: str) -> "dataclasses.Field[Any]":
         stages = (stage for stage in cls.STAGES if name in stage.names())
         return next(stages).option(name) if name not in cls.OWN else super().option(name)
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Dict, Mapping, Type, TypeVar
+from typing import Mapping, Type, TypeVar
 
 from .checks import Misfit, mapping, member, typed, types_of
+from .documents import JsonObject
 
 R = TypeVar("R", bound="Record")
 
@@ -16,7 +17,7 @@ class Record:
     The annotations of its fields say what the entries must be (:mod:`repm_qgis.contracts.checks`).
     """
 
-    def to_mapping(self) -> Dict[str, object]:
+    def to_mapping(self) -> JsonObject:
         return {field.name: _plain(getattr(self, field.name)) for field in dataclasses.fields(self)}  # type: ignore[arg-type]
 
     @classmethod

@@ -48,7 +48,7 @@ class TruthScene:
     def __init__(self, kind, folder, size):
         self.folder = Path(folder)
         self.made = run_stage("sampledata", {"folder": str(folder), "kind": kind, "size": size, "seed": 3}, Told())
-        self.images, self.truth = self.made["images"], self.made["truth"]
+        self.images, self.truth = self.made.images, self.made.truth
         self.record = json.loads((self.folder / "truth.json").read_text())
         self.true_rpcs = [Rpc.from_mapping(view["true_rpc"]) for view in self.record["views"]]
         self.biases = np.array([[v["rpc_bias_px"]["col"], v["rpc_bias_px"]["row"]] for v in self.record["views"]])

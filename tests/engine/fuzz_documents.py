@@ -138,11 +138,11 @@ def campaign(folder, count, seed):
     chance = random.Random(seed)  # noqa: S311 - reproducible
     place = Path(folder) / "documents" / "deep" / "down"
     made = make_scene(SceneSpec.default("urban", 256, 5), str(place / "images"), Silent())
-    job = {"images": made["images"][:2], "output": str(place / "dsm.tif"), "workspace": str(place / "w")}
+    job = {"images": made.images[:2], "output": str(place / "dsm.tif"), "workspace": str(place / "w")}
     job.update(tile_size=256, workers=1)
     run_stage("pipeline", job, Silent())
     scene = json.loads((place / "w" / "reconstructed.json").read_text())
-    tables, views = _tables(place, made["gcps"]), Scene.load(str(place / "w" / "scene.json")).views
+    tables, views = _tables(place, made.gcps), Scene.load(str(place / "w" / "scene.json")).views
     before, here = _files(folder), os.getcwd()
     jobs = place / "jobs" / "a" / "b"
     jobs.mkdir(parents=True)
@@ -197,8 +197,8 @@ def _job(place, pipeline, made, chance):
         "epmfit": {name: pipeline[name] for name in ("images", "workspace", "tile_size")},
         "errormap": {"scene": scene, "output": f"{out}/error.tif", "view": "img_01", "altitude": 200.0},
         "exportrpc": {"scene": scene, "rpc_folder": f"{out}/rpcs"},
-        "checkgcps": {"scene": scene, "gcps": made["gcps"], "dsm": pipeline["output"], "gcp_datum": ""},
-        "comparedsm": {"dsm": pipeline["output"], "reference": made["truth"], "thresholds": [1.0], "others": []},
+        "checkgcps": {"scene": scene, "gcps": made.gcps, "dsm": pipeline["output"], "gcp_datum": ""},
+        "comparedsm": {"dsm": pipeline["output"], "reference": made.truth, "thresholds": [1.0], "others": []},
         "environment": {"report": f"{out}/environment.html"},
         "pipeline": {**pipeline, "extent": [0, 0, 1, 1], "extent_crs": "EPSG:4326", "dem": None, "masks": []},
     }
@@ -207,7 +207,7 @@ def _job(place, pipeline, made, chance):
     document = mutated(options.get(stage, {"scene": scene, "output": f"{out}/o.tif"}), chance)
 
     def work():
-        checked = STAGES[stage].from_json(document)
+        checked = STAGES[stage].options.from_json(document)
         if stage in LIGHT and not any(value == "/" for value in document.values()):  # where a test must not write
             run_stage(stage, document, Silent())
         assert stage != "pipeline" or isinstance(checked, PipelineOptions)

@@ -30,7 +30,7 @@ def jobs_of(monkeypatch, *arguments):
 
 def value_of(stage, name):
     """A value that an option may have, other than its default, and its words on the command line."""
-    options = STAGES[stage]
+    options = STAGES[stage].options
     kind, check = command_line._kind(options, name), options.option(name).metadata.get("check")
     default = options.option(name).default
     if kind is bool:
@@ -50,7 +50,7 @@ def value_of(stage, name):
 @pytest.mark.parametrize("stage", STAGES)
 @pytest.mark.long
 def test_every_option_of_a_stage_can_be_given_and_is_explained(stage, monkeypatch, capsys):
-    given = {name: value_of(stage, name) for name in STAGES[stage].names()}
+    given = {name: value_of(stage, name) for name in STAGES[stage].options.names()}
     words = [word for _, more in given.values() for word in more]
     assert jobs_of(monkeypatch, stage, *words) == (stage, {name: value for name, (value, _) in given.items()})
     with pytest.raises(SystemExit):

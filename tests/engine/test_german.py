@@ -64,7 +64,7 @@ def sample(tmp_path_factory):
 
 def run(sample, folder, **more):
     paths = {name: str(folder / f"{name}.tif") for name in PRODUCTS}
-    job = {"images": sample["images"], "workspace": str(folder / "work"), **paths, "command": "repm", **more}
+    job = {"images": sample.images, "workspace": str(folder / "work"), **paths, "command": "repm", **more}
     return engine("pipeline", folder, **job), paths
 
 
@@ -130,15 +130,15 @@ def test_every_stage_says_and_reports_in_german(german, sample, tmp_path):
     scene, refined, matched = (str(work / f"{name}.json") for name in ("scene", "refined", "reconstructed"))
     dsm, report = german[1]["output"], lambda stage: str(tmp_path / f"{stage}.html")
     jobs = {
-        "epmfit": {"images": sample["images"], "workspace": str(work)},
+        "epmfit": {"images": sample.images, "workspace": str(work)},
         "errormap": {"scene": scene, "output": str(tmp_path / "error.tif")},
         "refine": {"scene": scene, "output_scene": refined},
-        "comparedsm": {"dsm": dsm, "reference": sample["truth"], "error": str(tmp_path / "e.tif")},
-        "checkgcps": {"gcps": sample["gcps"], "scene": matched, "dsm": dsm, "output": str(tmp_path / "gcps.gpkg")},
+        "comparedsm": {"dsm": dsm, "reference": sample.truth, "error": str(tmp_path / "e.tif")},
+        "checkgcps": {"gcps": sample.gcps, "scene": matched, "dsm": dsm, "output": str(tmp_path / "gcps.gpkg")},
         "exportrpc": {"scene": matched, "rpc_folder": str(tmp_path / "rpcs")},
         "environment": {},
-        "mosaic": {"dsms": [dsm, sample["truth"]], "output": str(tmp_path / "mosaic.tif")},
-        "inspect": {"images": sample["images"]},
+        "mosaic": {"dsms": [dsm, sample.truth], "output": str(tmp_path / "mosaic.tif")},
+        "inspect": {"images": sample.images},
     }
     for stage, job in jobs.items():
         heard = Heard()
@@ -155,7 +155,7 @@ def test_every_stage_says_and_reports_in_german(german, sample, tmp_path):
 
 def moved_truth(sample, path, metres, stated=True):
     """The true surface at another place and height; it may say what its heights refer to."""
-    source = gdal.Open(sample["truth"])
+    source = gdal.Open(sample.truth)
     x, width, _, y, _, height = source.GetGeoTransform()
     made = gdal.Translate(str(path), source, noData="nan")
     made.SetGeoTransform((x + metres[0], width, 0, y + metres[1], 0, height))
@@ -235,8 +235,8 @@ def test_errors_are_german_and_keep_their_kind(stage, job, tmp_path):
 
 def test_points_of_an_image_that_is_not_there_are_said_in_german(sample, tmp_path):
     gcps = tmp_path / "gcps.csv"
-    gcps.write_text(Path(sample["gcps"]).read_text(encoding="utf-8").replace("img_0", "foto_0"), encoding="utf-8")
-    job = {"images": sample["images"][:2], "gcps": str(gcps), "workspace": str(tmp_path), "output": "dsm.tif"}
+    gcps.write_text(Path(sample.gcps).read_text(encoding="utf-8").replace("img_0", "foto_0"), encoding="utf-8")
+    job = {"images": sample.images[:2], "gcps": str(gcps), "workspace": str(tmp_path), "output": "dsm.tif"}
     *_, said = engine("pipeline", tmp_path, **job, language="de")
     assert said["type"] == "error" and "wurden in foto_01" in said["text"] and "in keinem der Bilder" in said["text"]
     assert not english_in([said["text"]])

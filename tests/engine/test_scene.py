@@ -28,9 +28,9 @@ def fitted(urban, tmp_path_factory, told):
     )
     return run_stage(
         "refine",
-        {"scene": result["scene"], "output_scene": str(folder / "refined.json"), "write_images": False},
+        {"scene": result.scene, "output_scene": str(folder / "refined.json"), "write_images": False},
         told(),
-    )["output_scene"]
+    ).output_scene
 
 
 def test_there_and_back_is_the_same_to_the_last_bit(fitted, tmp_path):

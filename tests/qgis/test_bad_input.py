@@ -49,7 +49,7 @@ def spoilt(path, source, **entries):
 def bad(sample, tmp_path_factory):
     """Second images, each spoilt in one way, by name."""
     folder = tmp_path_factory.mktemp("bad")
-    second = sample["images"][1]
+    second = sample.images[1]
     cut = folder / "cut.tif"
     cut.write_bytes(pathlib.Path(second).read_bytes()[:30000])
     (folder / "text.tif").write_text("no image at all")
@@ -109,7 +109,7 @@ def test_a_bad_image_is_one_sentence_and_leaves_nothing(plugin, feedback, sample
     text = message_of(
         "epmfit",
         {
-            "IMAGES": [sample["images"][0], bad[fault]],
+            "IMAGES": [sample.images[0], bad[fault]],
             "WORKSPACE": str(workspace),
             "TILES": str(tmp_path / "t.gpkg"),
             "REPORT": str(tmp_path / "r.html"),
@@ -136,10 +136,10 @@ def test_an_absurd_request_is_refused_in_the_dialog(plugin, context, sample, tmp
     from repm_qgis.stages import run_stage
 
     registry = QgsApplication.processingRegistry()
-    fit = {"images": sample["images"][:2], "workspace": str(tmp_path / "fit")}
+    fit = {"images": sample.images[:2], "workspace": str(tmp_path / "fit")}
     inputs = {
-        "pipeline": {"IMAGES": sample["images"][:2], "WORKSPACE": str(tmp_path / "w")},
-        "dsmfuse": {"SCENE": run_stage("epmfit", fit, Silent())["scene"]},
+        "pipeline": {"IMAGES": sample.images[:2], "WORKSPACE": str(tmp_path / "w")},
+        "dsmfuse": {"SCENE": run_stage("epmfit", fit, Silent()).scene},
     }
     for name, given in inputs.items():
         given = {**given, "OUTPUT": str(tmp_path / "dsm.tif"), **values}
@@ -169,7 +169,7 @@ def test_an_absurd_request_is_refused_in_the_dialog(plugin, context, sample, tmp
 @pytest.mark.slow
 def test_a_wrong_value_is_one_sentence(plugin, feedback, sample, tmp_path, values, words):
     given = {
-        "IMAGES": sample["images"][:2],
+        "IMAGES": sample.images[:2],
         "WORKSPACE": str(tmp_path / "w"),
         "OUTPUT": str(tmp_path / "dsm.tif"),
         "TILES": str(tmp_path / "t.gpkg"),
@@ -184,9 +184,7 @@ def test_a_wrong_value_is_one_sentence(plugin, feedback, sample, tmp_path, value
 def scene(plugin, ears, sample, tmp_path_factory):
     folder = tmp_path_factory.mktemp("scene")
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:epmfit")
-    results, fine = algorithm.run(
-        {"IMAGES": sample["images"], "WORKSPACE": str(folder)}, QgsProcessingContext(), ears()
-    )
+    results, fine = algorithm.run({"IMAGES": sample.images, "WORKSPACE": str(folder)}, QgsProcessingContext(), ears())
     assert fine
     return results["SCENE"]
 
@@ -200,7 +198,7 @@ def test_a_scene_that_will_not_do_is_one_sentence(plugin, feedback, scene, sampl
         "has no height maps",
         "Reconstruct heights",
     )
-    one_sentence(message_of("dsmfuse", {"SCENE": sample["images"][0], "OUTPUT": out}, feedback), "is not a scene")
+    one_sentence(message_of("dsmfuse", {"SCENE": sample.images[0], "OUTPUT": out}, feedback), "is not a scene")
     one_sentence(
         message_of("refine", {"SCENE": scene, "MODEL": "terrain", "OUTPUT_SCENE": str(tmp_path / "s.json")}, feedback),
         "MODEL is 'terrain'",
@@ -229,7 +227,7 @@ def test_a_scene_that_will_not_do_is_one_sentence(plugin, feedback, scene, sampl
 def test_a_slip_in_a_parameters_name_is_told(plugin, feedback, sample, tmp_path):
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:epmfit")
     _, fine = algorithm.run(
-        {"IMAGES": sample["images"], "WORKSPACE": str(tmp_path), "ERROR_BUGDET": 1}, QgsProcessingContext(), feedback
+        {"IMAGES": sample.images, "WORKSPACE": str(tmp_path), "ERROR_BUGDET": 1}, QgsProcessingContext(), feedback
     )
     assert fine
     assert feedback.heard["warning"] == [
@@ -244,7 +242,7 @@ def test_qgis_process_ends_with_code_1(headless, sample, bad, tmp_path, fault):
         "run",
         "repm:pipeline",
         "--",
-        f"IMAGES={sample['images'][0]}",
+        f"IMAGES={sample.images[0]}",
         f"IMAGES={bad[fault]}",
         f"WORKSPACE={tmp_path / 'w'}",
         f"OUTPUT={tmp_path / 'dsm.tif'}",
@@ -267,7 +265,7 @@ def test_a_missing_wheel_is_one_sentence_with_the_remedy(headless, sample, tmp_p
         "run",
         "repm:pipeline",
         "--",
-        *(f"IMAGES={path}" for path in sample["images"]),
+        *(f"IMAGES={path}" for path in sample.images),
         f"WORKSPACE={tmp_path / 'w'}",
         f"OUTPUT={tmp_path / 'dsm.tif'}",
         REPM_ENGINE_PYTHON=own,
@@ -280,7 +278,7 @@ def test_a_missing_wheel_is_one_sentence_with_the_remedy(headless, sample, tmp_p
 
 def test_nothing_is_written_beside_inputs(plugin, feedback, sample, tmp_path):
     for name in ("dsm.tif", "reference.tif"):
-        shutil.copy(sample["truth"], tmp_path / name)
+        shutil.copy(sample.truth, tmp_path / name)
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:comparedsm")
     _, fine = algorithm.run(
         {"DSM": str(tmp_path / "dsm.tif"), "REFERENCE": str(tmp_path / "reference.tif")},

@@ -50,7 +50,7 @@ def whole(run, town, tmp_path_factory):
     """repm:pipeline with everything it can make."""
     folder = tmp_path_factory.mktemp("whole")
     given = {
-        "IMAGES": town["images"],
+        "IMAGES": town.images,
         "WORKSPACE": str(folder / "w"),
         "OUTPUT": str(folder / "dsm.tif"),
         "CONFIDENCE": str(folder / "confidence.tif"),
@@ -74,7 +74,7 @@ def test_a_workspace_keeps_what_has_no_name_and_makes_nothing_twice(plugin, ears
         context, feedback = QgsProcessingContext(), ears()
         context.setProject(project)
         given = {name: QgsProcessingOutputLayerDefinition("TEMPORARY_OUTPUT", project) for name in MAP}
-        given.update(IMAGES=sample["images"][:2], WORKSPACE=str(tmp_path / "town"), REPORT="TEMPORARY_OUTPUT")
+        given.update(IMAGES=sample.images[:2], WORKSPACE=str(tmp_path / "town"), REPORT="TEMPORARY_OUTPUT")
         algorithm = QgsApplication.processingRegistry().algorithmById("repm:pipeline")
         results, fine = algorithm.run(given, context, feedback)
         assert fine, feedback.heard["error"]
@@ -101,7 +101,7 @@ def test_a_workspace_keeps_what_has_no_name_and_makes_nothing_twice(plugin, ears
 
 
 def test_a_temporary_workspace_keeps_nothing(plugin, ears, sample):
-    given = {"IMAGES": sample["images"][:2], "OUTPUT": "TEMPORARY_OUTPUT", "WORKSPACE": "TEMPORARY_OUTPUT"}
+    given = {"IMAGES": sample.images[:2], "OUTPUT": "TEMPORARY_OUTPUT", "WORKSPACE": "TEMPORARY_OUTPUT"}
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:pipeline")
     results, fine = algorithm.run(given, QgsProcessingContext(), ears())
     assert fine and os.path.dirname(results["OUTPUT"]) != results["WORKSPACE"]
@@ -141,14 +141,14 @@ def test_a_second_run_says_what_it_reused(whole, run):
 
 
 def test_the_dsm_is_near_the_truth(whole, run, town):
-    results, _ = run("comparedsm", DSM=whole[1]["OUTPUT"], REFERENCE=town["truth"], ALIGN="3d", THRESHOLDS="2")
+    results, _ = run("comparedsm", DSM=whole[1]["OUTPUT"], REFERENCE=town.truth, ALIGN="3d", THRESHOLDS="2")
     assert results["NMAD"] < 0.6
     assert results["COMPLETENESS"] > 60
 
 
 @pytest.mark.slow
 def test_single_stages_give_the_pipelines_dsm(whole, run, town, tmp_path):
-    fitted, _ = run("epmfit", IMAGES=town["images"], WORKSPACE=str(tmp_path / "w"))
+    fitted, _ = run("epmfit", IMAGES=town.images, WORKSPACE=str(tmp_path / "w"))
     refined, _ = run("refine", SCENE=fitted["SCENE"], OUTPUT_SCENE=str(tmp_path / "refined" / "scene.json"))
     rebuilt, _ = run(
         "reconstruct", SCENE=refined["OUTPUT_SCENE"], OUTPUT_SCENE=str(tmp_path / "rebuilt" / "scene.json")
@@ -173,7 +173,7 @@ def test_the_shipped_model_gives_the_pipelines_dsm_and_layers(whole, ears, town,
         "reconstruct:TIE_POINTS": "p.gpkg",
     }
     given = {
-        "IMAGES": town["images"],
+        "IMAGES": town.images,
         "RESOLUTION": 1.0,
         "epmfit:WORKSPACE": str(tmp_path / "old town"),
         "epmfit:REPORT": str(tmp_path / "r.html"),
@@ -201,7 +201,7 @@ def test_the_shipped_model_gives_the_pipelines_dsm_and_layers(whole, ears, town,
 @pytest.mark.slow
 def test_cancel_in_the_middle_leaves_a_workspace_that_goes_on(plugin, ears, run, whole, town, tmp_path):
     given = {
-        "IMAGES": town["images"],
+        "IMAGES": town.images,
         "WORKSPACE": str(tmp_path / "w"),
         "OUTPUT": str(tmp_path / "dsm.tif"),
         "RESOLUTION": 1.0,

@@ -29,7 +29,7 @@ def fitted(sample, tmp_path_factory):
     from repm_qgis.stages import run_stage
 
     folder = tmp_path_factory.mktemp("fitted")
-    return run_stage("epmfit", {"images": sample["images"], "workspace": str(folder)}, Silent())["scene"]
+    return run_stage("epmfit", {"images": sample.images, "workspace": str(folder)}, Silent()).scene
 
 
 @pytest.mark.long
@@ -39,9 +39,9 @@ def test_checkgcps_from_the_command_line(headless, sample, fitted, tmp_path):
         "run",
         "repm:checkgcps",
         "--",
-        f"GCPS={sample['gcps']}",
+        f"GCPS={sample.gcps}",
         f"SCENE={fitted}",
-        f"DSM={sample['truth']}",
+        f"DSM={sample.truth}",
         f"OUTPUT={tmp_path / 'points.gpkg'}",
         f"REPORT={tmp_path / 'r.html'}",
     )
@@ -65,8 +65,8 @@ def test_checkgcps_needs_only_a_dsm(headless, sample, tmp_path):
         "run",
         "repm:checkgcps",
         "--",
-        f"GCPS={sample['gcps']}",
-        f"DSM={sample['truth']}",
+        f"GCPS={sample.gcps}",
+        f"DSM={sample.truth}",
         f"OUTPUT={tmp_path / 'points.gpkg'}",
     )
     assert done.returncode == 0, said(done)
@@ -84,8 +84,8 @@ def test_checkgcps_needs_only_a_dsm(headless, sample, tmp_path):
 )
 @pytest.mark.long
 def test_user_errors_are_one_sentence(headless, sample, tmp_path, words, sentence):
-    given = [word.replace("truth", sample["truth"]) for word in words if not word.endswith("=")]
-    table = [] if any(word.startswith("GCPS") for word in given) else [f"GCPS={sample['gcps']}"]
+    given = [word.replace("truth", sample.truth) for word in words if not word.endswith("=")]
+    table = [] if any(word.startswith("GCPS") for word in given) else [f"GCPS={sample.gcps}"]
     done = headless("run", "repm:checkgcps", "--", *table, *given, f"OUTPUT={tmp_path / 'points.gpkg'}")
     assert done.returncode == 1, said(done)
     assert sentence in said(done) and "Traceback" not in said(done)
@@ -99,8 +99,8 @@ def test_a_pipeline_with_control_points_is_where_the_truth_is(headless, town, tm
         "run",
         "repm:pipeline",
         "--",
-        *(f"IMAGES={path}" for path in town["images"]),
-        f"GCPS={town['gcps']}",
+        *(f"IMAGES={path}" for path in town.images),
+        f"GCPS={town.gcps}",
         "POINTING=shift",
         "RESOLUTION=0.5",
         f"WORKSPACE={tmp_path / 'w'}",
@@ -110,7 +110,7 @@ def test_a_pipeline_with_control_points_is_where_the_truth_is(headless, town, tm
     )
     assert done.returncode == 0, said(done)
     page = (tmp_path / "w" / "report.html").read_text(encoding="utf-8")
-    assert "Absolute position" in page and f"GCPS={town['gcps']}" in page and "POINTING=shift" in page
+    assert "Absolute position" in page and f"GCPS={town.gcps}" in page and "POINTING=shift" in page
     ties = ogr.Open(str(tmp_path / "ties.gpkg"))
     names = {field.GetName() for field in ties.GetLayer(0).schema}
     ties = None  # noqa: F841
@@ -120,7 +120,7 @@ def test_a_pipeline_with_control_points_is_where_the_truth_is(headless, town, tm
         "run",
         "repm:checkgcps",
         "--",
-        f"GCPS={town['gcps']}",
+        f"GCPS={town.gcps}",
         f"DSM={tmp_path / 'dsm.tif'}",
         f"SCENE={tmp_path / 'w' / 'reconstructed.json'}",
         f"OUTPUT={tmp_path / 'points.gpkg'}",
@@ -129,14 +129,14 @@ def test_a_pipeline_with_control_points_is_where_the_truth_is(headless, town, tm
     results = json.loads(checked.stdout)["results"]
     assert results["SCENE_RMSE"] < 1.0 and results["DSM_MEDAE"] < 0.6
     compared = headless(
-        "--json", "run", "repm:comparedsm", "--", f"DSM={tmp_path / 'dsm.tif'}", f"REFERENCE={town['truth']}"
+        "--json", "run", "repm:comparedsm", "--", f"DSM={tmp_path / 'dsm.tif'}", f"REFERENCE={town.truth}"
     )
     assert compared.returncode == 0, said(compared)
     assert json.loads(compared.stdout)["results"]["MEDAE"] < 0.5  # not aligned
 
 
 def rows_of(sample):
-    with open(sample["gcps"], encoding="utf-8") as stream:
+    with open(sample.gcps, encoding="utf-8") as stream:
         return list(csv.DictReader(stream))
 
 
@@ -185,7 +185,7 @@ def same(one, other):
 
 
 def test_a_layer_that_is_no_file_gives_what_the_table_gives(plugin, sample, fitted, memory_layer, tmp_path, feedback):
-    table = run_with(sample["gcps"], fitted, tmp_path, feedback)
+    table = run_with(sample.gcps, fitted, tmp_path, feedback)
     drawn = run_with(memory_layer, fitted, tmp_path, feedback)
     assert table["RPC_RMSE"] > 0 and same(table, drawn)
 
@@ -195,8 +195,8 @@ def test_a_projects_layer_goes_by_its_id_and_a_filter_counts(plugin, sample, fit
 
     path = str(tmp_path / "gcps.gpkg")
     gdal.UseExceptions()
-    dataset = gdal.VectorTranslate(path, sample["gcps"], layerName="surveyed", format="GPKG")
-    gdal.VectorTranslate(path, sample["gcps"], layerName="others", format="GPKG", accessMode="append")
+    dataset = gdal.VectorTranslate(path, sample.gcps, layerName="surveyed", format="GPKG")
+    gdal.VectorTranslate(path, sample.gcps, layerName="others", format="GPKG", accessMode="append")
     dataset = None  # noqa: F841
     layer = QgsVectorLayer(f"{path}|layername=surveyed", "surveyed", "ogr")
     assert layer.isValid()
@@ -221,20 +221,20 @@ def test_a_text_layer_is_its_file_or_a_copy(plugin, sample, fitted, tmp_path, fe
     from repm.processing_provider.values import points_path
 
     path = tmp_path / "gcps.csv"
-    text = open(sample["gcps"], encoding="utf-8").read()
+    text = open(sample.gcps, encoding="utf-8").read()
     path.write_text(text.replace(",", ";") if ";" in query else text, encoding="utf-8")
     layer = QgsVectorLayer(f"file://{path}{query}", "table", "delimitedtext")
     assert layer.isValid()
     found = points_path(layer, QgsProcessingContext())
     assert (found == str(path)) == plain
-    assert same(run_with(sample["gcps"], fitted, tmp_path, feedback), run_with(layer, fitted, tmp_path, feedback))
+    assert same(run_with(sample.gcps, fitted, tmp_path, feedback), run_with(layer, fitted, tmp_path, feedback))
 
 
 def test_rpc_files_are_named_in_the_images_order(plugin, sample, tmp_path, feedback):
     """Copies of the images without tags, and their RPCs in files that no convention finds."""
     gdal.UseExceptions()
     images, files = [], []
-    for number, path in enumerate(sample["images"][:2]):
+    for number, path in enumerate(sample.images[:2]):
         source = gdal.Open(path)
         pixels, tags = source.ReadAsArray(), source.GetMetadata("RPC")
         source = None
@@ -256,7 +256,7 @@ def test_rpc_files_are_named_in_the_images_order(plugin, sample, tmp_path, feedb
     results, fine = algorithm.run(values, context, feedback, catchExceptions=False)
     assert fine and results["RMSE"] > 0
     views = json.loads((tmp_path / "w" / "scene.json").read_text())["views"]
-    original = gdal.Open(sample["images"][1]).GetMetadata("RPC")
+    original = gdal.Open(sample.images[1]).GetMetadata("RPC")
     assert views[1]["rpc"]["col_off"] == pytest.approx(float(original["SAMP_OFF"]))
     fine, text = algorithm.checkParameterValues({**values, "RPCS": [files[0], "gone.rpb"]}, context)
     assert not fine and "RPCS 'gone.rpb' is not there" in text

@@ -22,8 +22,8 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.mark.slow
 def test_points_are_measured_by_mouse_and_keys_and_taken_by_gcps(desktop_start, town, tmp_path):
-    views = load_views(town["images"])
-    known = [gcp for gcp in read_gcps(town["gcps"], views) if len(gcp.pixels) == 3]
+    views = load_views(town.images)
+    known = [gcp for gcp in read_gcps(town.gcps, views) if len(gcp.pixels) == 3]
     places = tmp_path / "places.csv"  # without pixels
     lines = [f"{gcp.id},{gcp.lon!r},{gcp.lat!r},{gcp.height!r},{gcp.role}" for gcp in known]
     places.write_text("\n".join(["id,lon,lat,height,role", *lines]))

@@ -29,7 +29,7 @@ def test_the_pipeline_in_the_desktop_brings_styled_layers(desktop, town, tmp_pat
     found = desktop(
         "Make a DSM from satellite",
         {
-            "IMAGES": town["images"],
+            "IMAGES": town.images,
             "WORKSPACE": str(tmp_path / "old town"),
             "CONFIDENCE": "TEMPORARY_OUTPUT",
             "ORTHO": "TEMPORARY_OUTPUT",
@@ -64,7 +64,7 @@ def test_the_pipeline_in_the_desktop_brings_styled_layers(desktop, town, tmp_pat
 @pytest.mark.slow
 def test_images_on_an_empty_map(desktop, town):
     """What the area is drawn over: styled layers in the images' UTM zone, before anything is computed."""
-    found = desktop("Inspect images", {"IMAGES": town["images"]})
+    found = desktop("Inspect images", {"IMAGES": town.images})
     assert (found["chosen"], found["success"]) == ("repm:inspect", True)
     assert [(layer["name"].split()[0], layer["renderer"], layer["shown"]) for layer in found["layers"]] == [
         ("Footprints", "QgsSingleSymbolRenderer", True),
@@ -74,7 +74,7 @@ def test_images_on_an_empty_map(desktop, town):
 
 
 def test_the_first_stage_in_the_desktop(desktop, sample, tmp_path):
-    found = desktop("Fit equivalent", {"IMAGES": sample["images"], "WORKSPACE": str(tmp_path / "old town")})
+    found = desktop("Fit equivalent", {"IMAGES": sample.images, "WORKSPACE": str(tmp_path / "old town")})
     assert (found["chosen"], found["success"]) == ("repm:epmfit", True)
     (layer,) = found["layers"]
     assert (layer["name"], layer["valid"]) == ("Tiles old town", True)
@@ -89,15 +89,15 @@ def test_a_mosaic_of_scenes_in_the_desktop(desktop, town, tmp_path):
     from repm_qgis.runtime.progress import Silent
     from repm_qgis.stages import run_stage
 
-    truth = gdal.Info(town["truth"], format="json")
+    truth = gdal.Info(town.truth, format="json")
     (west, south), (east, north) = (truth["cornerCoordinates"][name] for name in ("lowerLeft", "upperRight"))
-    middle, crs = (west + east) / 2, gdal.Open(town["truth"]).GetSpatialRef()
+    middle, crs = (west + east) / 2, gdal.Open(town.truth).GetSpatialRef()
     scenes = []
     for name, ends in (("west", (west, middle + 30)), ("east", (middle - 30, east))):
         folder = tmp_path / name
         area = {"extent": [ends[0], south, ends[1], north], "extent_crs": f"EPSG:{crs.GetAuthorityCode(None)}"}
-        job = {"images": town["images"], "workspace": str(folder), "output": str(folder / "dsm.tif"), "resolution": 1.0}
-        scenes.append(run_stage("pipeline", {**job, **area}, Silent())["scene"])
+        job = {"images": town.images, "workspace": str(folder), "output": str(folder / "dsm.tif"), "resolution": 1.0}
+        scenes.append(run_stage("pipeline", {**job, **area}, Silent()).scene)
     vrt = tmp_path / "mosaic.vrt"
     found = desktop("Make a mosaic", {"SCENES": scenes, "OUTPUT": str(vrt), "REPORT": str(tmp_path / "mosaic.html")})
     assert (found["chosen"], found["success"]) == ("repm:mosaic", True)
@@ -115,8 +115,8 @@ def test_an_error_map_in_the_desktop(desktop, town, tmp_path):
     from repm_qgis.runtime.progress import Silent
     from repm_qgis.stages import run_stage
 
-    fitted = run_stage("epmfit", {"images": town["images"], "workspace": str(tmp_path / "old town")}, Silent())
-    found = desktop("Map the equivalent error", {"SCENE": fitted["scene"], "ALTITUDE": 180})
+    fitted = run_stage("epmfit", {"images": town.images, "workspace": str(tmp_path / "old town")}, Silent())
+    found = desktop("Map the equivalent error", {"SCENE": fitted.scene, "ALTITUDE": 180})
     assert (found["chosen"], found["success"]) == ("repm:errormap", True)
     (layer,) = found["layers"]
     assert (layer["name"], layer["valid"]) == ("Equivalent error old town", True)
@@ -131,9 +131,9 @@ def test_a_registration_in_the_desktop_shows_what_it_did(desktop, town, tmp_path
     from repm_qgis.stages import run_stage
 
     workspace = tmp_path / "old town"
-    options = {"images": town["images"], "workspace": str(workspace), "output": str(tmp_path / "dsm.tif")}
-    scene = run_stage("pipeline", {**options, "resolution": 1.0, "workers": 1}, Silent())["scene"]
-    values = {"SCENE": scene, "REFERENCE": [town["truth"]], "REFERENCE_DATUM": "ellipsoid"}
+    options = {"images": town.images, "workspace": str(workspace), "output": str(tmp_path / "dsm.tif")}
+    scene = run_stage("pipeline", {**options, "resolution": 1.0, "workers": 1}, Silent()).scene
+    values = {"SCENE": scene, "REFERENCE": [town.truth], "REFERENCE_DATUM": "ellipsoid"}
     found = desktop("Register to a reference", {**values, "OUTPUT_SCENE": str(workspace / "registered.json")})
     assert (found["chosen"], found["success"]) == ("repm:register", True)
     assert [(layer["name"].replace(" old town", ""), layer["renderer"]) for layer in found["layers"]] == [
@@ -143,7 +143,7 @@ def test_a_registration_in_the_desktop_shows_what_it_did(desktop, town, tmp_path
     assert {layer["group"] for layer in found["layers"]} == {"old town"} and all(
         layer["valid"] for layer in found["layers"]
     )
-    assert Scene.load(str(workspace / "registered.json")).registration.references[0].file == town["truth"]
+    assert Scene.load(str(workspace / "registered.json")).registration.references[0].file == town.truth
 
 
 def test_a_dsm_in_the_elevation_profile_tool(desktop_start, town, tmp_path):
@@ -169,7 +169,7 @@ def test_a_dsm_in_the_elevation_profile_tool(desktop_start, town, tmp_path):
 
 @pytest.mark.slow
 def test_the_terrain_of_a_town_in_the_desktop(desktop, town, tmp_path):
-    given = {"DSM": town["truth"], "LARGEST": 60, "MASK": "TEMPORARY_OUTPUT", "REPORT": str(tmp_path / "dtm.html")}
+    given = {"DSM": town.truth, "LARGEST": 60, "MASK": "TEMPORARY_OUTPUT", "REPORT": str(tmp_path / "dtm.html")}
     found = desktop("Find the terrain", given)
     assert (found["chosen"], found["success"]) == ("repm:dtm", True)
     renderers = [layer["renderer"] for layer in found["layers"]]

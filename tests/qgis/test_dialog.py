@@ -18,15 +18,15 @@ def test_dialogs_offer_what_is_known_and_hide_what_does_not_matter(desktop_start
     from repm_qgis.runtime.progress import Silent
     from repm_qgis.stages import run_stage
 
-    fitted = run_stage("epmfit", {"images": sample["images"], "workspace": str(tmp_path / "work")}, Silent())
+    fitted = run_stage("epmfit", {"images": sample.images, "workspace": str(tmp_path / "work")}, Silent())
     names = sorted({name for preset in PRESETS.values() for name in preset})
     plan = {"presets": [*PRESETS, "none"], "names": [name.upper() for name in names]}
     plan["dialogs"] = ["pipeline", "mosaic", "reconstruct", "dsmfuse", "epmfit", "register", "change", "comparedsm"]
     missing = [str(tmp_path / name) for name in ("a.rpb", "b.xml")]
-    plan["lists"] = {"RPCS": missing, "SCENES": [fitted["scene"]], "FIXED": [fitted["scene"], sample["truth"]]}
-    settings = f"[repm]\nfirst_steps_shown=true\nlast_scenes={fitted['scene']}\n"
+    plan["lists"] = {"RPCS": missing, "SCENES": [fitted.scene], "FIXED": [fitted.scene, sample.truth]}
+    settings = f"[repm]\nfirst_steps_shown=true\nlast_scenes={fitted.scene}\n"
     found = desktop_start("drive_dialog.py", plan, seconds=60, settings=settings)
-    assert found["scene"] == fitted["scene"]
+    assert found["scene"] == fitted.scene
     # COLMAP's options are on the options page, and come to the dialog where a run's value is another one.
     assert (found["usual"], found["differs"], found["given"]) == ([], ["WINDOW_RADIUS"], 7)
     assert found["set"] == [9, []]

@@ -15,9 +15,15 @@ import sys
 import tempfile
 import threading
 import time
+from dataclasses import dataclass
+from typing import Any, Dict, Optional
 
 import pytest
 from qgis.core import QgsProcessingException
+
+from repm_qgis.contracts.options import Options
+from repm_qgis.contracts.results import Result
+from repm_qgis.contracts.stages import EPMFIT, Stage
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 VENV_PYTHON = sys.executable
@@ -25,6 +31,10 @@ VENV_PYTHON = sys.executable
 STAGES = """
 import multiprocessing, os, signal, subprocess, sys, time
 from ..contracts.errors import RpcMissingError
+
+class Answer(dict):
+    def to_mapping(self):
+        return dict(self)
 
 def nap(pids):
     with open(pids, "a") as stream:
@@ -39,8 +49,8 @@ def run_stage(name, options, progress):
         progress.step(0.2, "never back")
         progress.info("a note")
         progress.warn("a warning")
-        return {"got": options, "here": os.getcwd(), "path": os.environ.get("PYTHONPATH"),
-                "home": os.environ.get("PYTHONHOME"), "prefix": sys.prefix}
+        return Answer(got=options, here=os.getcwd(), path=os.environ.get("PYTHONPATH"),
+                      home=os.environ.get("PYTHONHOME"), prefix=sys.prefix)
     if name == "sentence":
         raise RpcMissingError("No RPC found for 'a.tif'.")
     if name == "bug":
@@ -72,6 +82,21 @@ def run_stage(name, options, progress):
     finally:
         os.unlink(half)
 """
+
+
+@dataclass(frozen=True)
+class Answer(Result):
+    """What the stage 'fine' returns."""
+
+    got: Dict[str, Any]
+    here: str
+    path: Optional[str]
+    home: Optional[str]
+    prefix: str
+
+
+def stage_of(name):
+    return Stage(name, Options, Answer)
 
 
 @pytest.fixture
@@ -121,11 +146,11 @@ def all_gone(pids, seconds=0.5):
 def test_progress_notes_and_result_come_through(engine, feedback, monkeypatch):
     monkeypatch.setenv("PYTHONHOME", "/nonsense")
     monkeypatch.setenv("PYTHONPATH", "/nonsense")
-    result = engine.run_apart("fine", {"images": ["ä b.tif"], "x": 1.5, "y": None}, feedback, VENV_PYTHON)
-    assert result["got"] == {"images": ["ä b.tif"], "x": 1.5, "y": None}
-    assert result["path"] == engine.PLUGIN_FOLDER
-    assert result["home"] is None
-    assert result["prefix"] == sys.prefix
+    result = engine.run_apart(stage_of("fine"), {"images": ["ä b.tif"], "x": 1.5, "y": None}, feedback, VENV_PYTHON)
+    assert result.got == {"images": ["ä b.tif"], "x": 1.5, "y": None}
+    assert result.path == engine.PLUGIN_FOLDER
+    assert result.home is None
+    assert result.prefix == sys.prefix
     assert feedback.heard["progress"] == [50.0]
     assert feedback.heard["text"] == ["half", "never back"]
     assert feedback.heard["info"] == ["a note"]
@@ -135,8 +160,8 @@ def test_progress_notes_and_result_come_through(engine, feedback, monkeypatch):
 @pytest.mark.parametrize("proxy", ("http://anna:secret@10.0.0.1:3128", "anna:secret@10.0.0.1:3128"))
 def test_the_log_has_no_password_of_a_proxy(engine, feedback, proxy):
     """Logs are sent to others; the engine itself gets the proxy as it is."""
-    result = engine.run_apart("fine", {"proxy": proxy}, feedback, VENV_PYTHON)
-    assert result["got"] == {"proxy": proxy}
+    result = engine.run_apart(stage_of("fine"), {"proxy": proxy}, feedback, VENV_PYTHON)
+    assert result.got == {"proxy": proxy}
     assert "10.0.0.1:3128" in feedback.textLog() and "secret" not in feedback.textLog()
 
 
@@ -154,7 +179,7 @@ def test_the_log_has_no_password_of_a_proxy(engine, feedback, proxy):
 @pytest.mark.long
 def test_every_end_but_a_bug_is_one_sentence(engine, feedback, stage, words):
     with pytest.raises(QgsProcessingException) as caught:
-        engine.run_apart(stage, {}, feedback, VENV_PYTHON)
+        engine.run_apart(stage_of(stage), {}, feedback, VENV_PYTHON)
     text = str(caught.value)
     assert all(word in text for word in words), text
     assert "\n" not in text and "Traceback" not in text
@@ -165,12 +190,12 @@ def test_what_the_system_says_of_memory_is_passed_on(engine, feedback, monkeypat
     counts = iter((3, 4))
     monkeypatch.setattr(containers, "memory_kills", lambda: next(counts))
     with pytest.raises(QgsProcessingException, match="SIGKILL; the system says that memory ran out: use fewer WORKERS"):
-        engine.run_apart("memory", {}, feedback, VENV_PYTHON)
+        engine.run_apart(stage_of("memory"), {}, feedback, VENV_PYTHON)
 
 
 def test_a_bug_keeps_its_traceback(engine, feedback):
     with pytest.raises(QgsProcessingException, match="(?s)please report.*Traceback.*ZeroDivisionError"):
-        engine.run_apart("bug", {}, feedback, VENV_PYTHON)
+        engine.run_apart(stage_of("bug"), {}, feedback, VENV_PYTHON)
 
 
 @pytest.mark.parametrize("stage", ["forked", "spawned", "stubborn"])
@@ -187,7 +212,9 @@ def test_cancel_ends_the_whole_tree_within_two_seconds(engine, feedback, tmp_pat
     thread = threading.Thread(target=cancel)
     thread.start()
     with pytest.raises(QgsProcessingException, match="Cancelled by the user"):
-        engine.run_apart(stage, {"pids": str(pids), "output": str(tmp_path / "dsm.tif")}, feedback, VENV_PYTHON)
+        engine.run_apart(
+            stage_of(stage), {"pids": str(pids), "output": str(tmp_path / "dsm.tif")}, feedback, VENV_PYTHON
+        )
     seconds = time.monotonic() - cancelled[0]
     thread.join()
     assert seconds < 2
@@ -210,7 +237,9 @@ def test_on_windows_the_engine_is_asked_to_cancel(engine, feedback, tmp_path, mo
     thread = threading.Thread(target=cancel)
     thread.start()
     with pytest.raises(QgsProcessingException, match="Cancelled by the user"):
-        engine.run_apart("spawned", {"pids": str(pids), "output": str(tmp_path / "dsm.tif")}, feedback, VENV_PYTHON)
+        engine.run_apart(
+            stage_of("spawned"), {"pids": str(pids), "output": str(tmp_path / "dsm.tif")}, feedback, VENV_PYTHON
+        )
     thread.join()
     assert not (tmp_path / ".dsm.part.tif").exists()
     for pid in started(pids):
@@ -267,7 +296,7 @@ def test_workers_of_a_crashed_engine_are_ended(engine, feedback, tmp_path, monke
     thread = threading.Thread(target=crash)
     thread.start()
     with pytest.raises(QgsProcessingException, match="SIGKILL"):
-        engine.run_apart("forked", {"pids": str(pids)}, feedback, VENV_PYTHON)
+        engine.run_apart(stage_of("forked"), {"pids": str(pids)}, feedback, VENV_PYTHON)
     thread.join()
     assert all_gone(started(pids))
 
@@ -277,7 +306,7 @@ def test_an_interpreter_that_cannot_be_started_is_named(engine, feedback, tmp_pa
     script.write_text("not a program")
     script.chmod(0o755)
     with pytest.raises(QgsProcessingException, match="cannot be started.*choose another"):
-        engine.run_apart("fine", {}, feedback, str(script))
+        engine.run_apart(stage_of("fine"), {}, feedback, str(script))
 
 
 def test_the_interpreter_is_the_setting_then_the_variable_then_the_venv_then_qgis_own(engine, tmp_path, monkeypatch):
@@ -317,12 +346,12 @@ def test_light_stages_turn_errors_into_sentences(plugin, feedback, monkeypatch):
     from repm.processing_provider import engine
 
     with pytest.raises(QgsProcessingException, match="TILE_SIZE is 3: it must be a whole number between"):
-        engine.run_here("epmfit", {"images": ["a", "b"], "workspace": "w", "tile_size": 3}, feedback)
+        engine.run_here(EPMFIT, {"images": ["a", "b"], "workspace": "w", "tile_size": 3}, feedback)
     with pytest.raises(QgsProcessingException, match="IMAGES is 5: it must be a list"):
-        engine.run_here("epmfit", {"images": 5, "workspace": "w"}, feedback)
+        engine.run_here(EPMFIT, {"images": 5, "workspace": "w"}, feedback)
     with monkeypatch.context() as bug, pytest.raises(ZeroDivisionError):  # a bug keeps its traceback
         bug.setattr("repm.repm_qgis.stages.run_stage", lambda *arguments: 1 / 0)
-        engine.run_here("epmfit", {"images": ["a", "b"], "workspace": "w"}, feedback)
+        engine.run_here(EPMFIT, {"images": ["a", "b"], "workspace": "w"}, feedback)
     feedback.cancel()
     from repm.repm_qgis.contracts.errors import Cancelled
 
@@ -367,7 +396,7 @@ def test_light_stages_run_in_threads_of_pythons(plugin, sample, tmp_path, ears, 
 
     monkeypatch.setattr(stages, "run_stage", spied)
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:viewer")
-    dsm = shutil.copy(sample["truth"], tmp_path / "dsm.tif")
+    dsm = shutil.copy(sample.truth, tmp_path / "dsm.tif")
     for number in range(3):
         given = {"DSM": str(dsm), "VIEWER": str(tmp_path / f"{number}.html")}
         context, feedback, ended = QgsProcessingContext(), ears(), []

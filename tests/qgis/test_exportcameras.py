@@ -16,10 +16,10 @@ def refined(sample, tmp_path_factory):
     from repm_qgis.stages import run_stage
 
     folder = tmp_path_factory.mktemp("refined")
-    fitted = run_stage("epmfit", {"images": sample["images"], "workspace": str(folder)}, Silent())
+    fitted = run_stage("epmfit", {"images": sample.images, "workspace": str(folder)}, Silent())
     path = str(folder / "refined.json")
-    run_stage("refine", {"scene": fitted["scene"], "output_scene": path}, Silent())
-    return fitted["scene"], path
+    run_stage("refine", {"scene": fitted.scene, "output_scene": path}, Silent())
+    return fitted.scene, path
 
 
 def test_a_refined_scene_becomes_a_model_for_nerfstudio(headless, refined, tmp_path):

@@ -22,7 +22,7 @@ def scenes(sample, tmp_path_factory):
     from repm_qgis.stages import run_stage
 
     folder = tmp_path_factory.mktemp("scenes")
-    fitted = run_stage("epmfit", {"images": sample["images"], "workspace": str(folder)}, Silent())["scene"]
+    fitted = run_stage("epmfit", {"images": sample.images, "workspace": str(folder)}, Silent()).scene
     scene = Scene.load(fitted)
     pointing = np.array([[1.0001, -0.00005, 3.5], [0.00008, 0.9999, -2.25]])
     views = tuple(view.with_pointing(pointing) for view in scene.views)

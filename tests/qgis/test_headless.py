@@ -121,7 +121,7 @@ def test_a_wrong_interpreter_is_one_sentence_and_code_1(headless, tmp_path):
 
 @pytest.mark.long
 def test_epmfit_runs_in_qgis_and_its_scene_goes_on_to_errormap(headless, sample, tmp_path):
-    images = [f"IMAGES={path}" for path in sample["images"]]
+    images = [f"IMAGES={path}" for path in sample.images]
     done = headless(
         "--json",
         "run",
@@ -145,10 +145,10 @@ def test_epmfit_runs_in_qgis_and_its_scene_goes_on_to_errormap(headless, sample,
 @pytest.mark.long
 def test_cameras_are_the_same_to_the_last_bit_in_qgis_and_in_a_script_with_many_threads(headless, sample, tmp_path):
     """QGIS loads GSL's linear algebra, which numpy then uses in its process: cameras differed in the tenth digit."""
-    images = [f"IMAGES={path}" for path in sample["images"]]
+    images = [f"IMAGES={path}" for path in sample.images]
     done = headless("run", "repm:epmfit", "--", *images, f"WORKSPACE={tmp_path / 'in QGIS'}")
     assert done.returncode == 0, said(done)
-    job = {"images": sample["images"], "workspace": str(tmp_path / "by a script")}
+    job = {"images": sample.images, "workspace": str(tmp_path / "by a script")}
     script = "from repm_qgis.runtime.progress import Silent; from repm_qgis.stages import run_stage; import json, sys; "
     subprocess.run(
         [sys.executable, "-c", script + "run_stage('epmfit', json.loads(sys.argv[1]), Silent())", json.dumps(job)],
@@ -247,7 +247,7 @@ def test_ctrl_c_and_sigterm_end_a_run_with_everything_it_started(headless_start,
         "run",
         "repm:pipeline",
         "--",
-        *(f"IMAGES={path}" for path in town["images"]),
+        *(f"IMAGES={path}" for path in town.images),
         "TILE_SIZE=256",
         f"OUTPUT={tmp_path / 'dsm.tif'}",
         f"WORKSPACE={tmp_path / 'w'}",

@@ -44,7 +44,7 @@ def test_grids_are_fetched_a_batch_ends_well_loading_is_quiet(sample, desktop_st
         monkeypatch.delenv(variable, raising=False)
     grids = tmp_path / ".local" / "share" / "proj"
     reports = [str(tmp_path / f"report_{number}.html") for number in (1, 2)]
-    rows = [{"IMAGES": sample["images"], "REPORT": report} for report in reports]
+    rows = [{"IMAGES": sample.images, "REPORT": report} for report in reports]
     night = "[repm]\nfirst_steps_shown=true\n[UI]\nUITheme=Night Mapping\n"
     found = desktop_start("drive_helpers.py", {"rows": rows, "folder_of_grids": str(grids)}, settings=night)
     assert not [text for text in found["log"] if "uplicate" in text], found["log"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import importlib.util
 import json
 import pathlib
@@ -13,6 +14,8 @@ from xml.etree import ElementTree
 import pytest
 from qgis.core import QgsApplication, QgsProcessingException, QgsProcessingOutputLayerDefinition, QgsProject
 
+from repm_qgis.contracts.results import DsmFuseResult
+from repm_qgis.contracts.stages import ENVIRONMENT, REFINE
 from tests.english import english_in
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -105,10 +108,10 @@ def test_logs_errors_and_reports_of_both_kinds_of_runs_are_german(german, feedba
 
     for run, name in ((engine.run_here, "here"), (engine.run_apart, "apart")):
         report = tmp_path / f"{name}.html"
-        run("environment", {"report": str(report)}, feedback)
+        run(ENVIRONMENT, {"report": str(report)}, feedback)
         assert '<html lang="de">' in report.read_text(encoding="utf-8")
         with pytest.raises(QgsProcessingException, match="die scene.json wählen") as caught:
-            run("refine", {"scene": str(tmp_path / "gone.json"), "output_scene": str(tmp_path / "o.json")}, feedback)
+            run(REFINE, {"scene": str(tmp_path / "gone.json"), "output_scene": str(tmp_path / "o.json")}, feedback)
         assert not english_in([str(caught.value)])
     heard = [text for texts in ("info", "warning", "text") for text in feedback.heard[texts]]
     assert any("prüfe Pakete und Geräte" in text for text in heard) and not english_in(heard)
@@ -119,7 +122,8 @@ def test_the_name_of_a_dsm_says_its_datum_in_german(german, context, feedback, t
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:dsmfuse").create()
     algorithm._inputs = {"scene": "/work/stadt/scene.json"}
     monkeypatch.setattr(algorithm, "complete", lambda options: options)
-    made = {"output": path, "vertical_datum": "WGS 84 ellipsoid"}
+    others = {each.name: None for each in dataclasses.fields(DsmFuseResult)}
+    made = DsmFuseResult(**{**others, "output": path, "vertical_datum": "WGS 84 ellipsoid"})
     monkeypatch.setattr(algorithm, "run_stage", lambda *_: made)
     algorithm._processed({"OUTPUT": QgsProcessingOutputLayerDefinition(path, project)}, context, feedback)
     assert context.layerToLoadOnCompletionDetails(path).name == "DOM stadt (Ellipsoid WGS 84)"

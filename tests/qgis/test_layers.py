@@ -26,7 +26,7 @@ def test_tiles_come_with_name_style_and_crs(load, sample, tmp_path, feedback):
     workspace = tmp_path / "town"
     results, layers = load(
         "epmfit",
-        {"IMAGES": sample["images"], "WORKSPACE": str(workspace), "REPORT": ""},
+        {"IMAGES": sample.images, "WORKSPACE": str(workspace), "REPORT": ""},
         {"TILES": tmp_path / "t.gpkg"},
     )
     layer = layers["TILES"]
@@ -83,7 +83,7 @@ def test_layers_that_stay_are_not_named_after_their_files(load, sample, tmp_path
     monkeypatch.setenv("TMPDIR", str(temporary))
     folder = tmp_path / "old town" / "out"
     _, layers = load(
-        "epmfit", {"IMAGES": sample["images"], "WORKSPACE": str(folder), "REPORT": ""}, {"TILES": folder / "tiles.gpkg"}
+        "epmfit", {"IMAGES": sample.images, "WORKSPACE": str(folder), "REPORT": ""}, {"TILES": folder / "tiles.gpkg"}
     )
     assert layers["TILES"].name() == "Tiles old town"
     page = (folder / "equivalent_error.html").read_text(encoding="utf-8")
@@ -109,9 +109,9 @@ def rebuilt(town, tmp_path_factory):
     folder = tmp_path_factory.mktemp("rebuilt") / "old town"
     return run_stage(
         "pipeline",
-        {"images": town["images"], "workspace": str(folder), "resolution": 1.0, "output": str(folder / "dsm.tif")},
+        {"images": town.images, "workspace": str(folder), "resolution": 1.0, "output": str(folder / "dsm.tif")},
         Silent(),
-    )["scene"]
+    ).scene
 
 
 def tree(node):
@@ -301,10 +301,10 @@ def test_without_a_project_or_a_provider_nothing_is_loaded(plugin, feedback, mon
 
 
 def test_height_errors_are_styled_about_zero(load, sample, tmp_path):
-    dsm = shutil.copy(sample["truth"], tmp_path / "dsm.tif")
+    dsm = shutil.copy(sample.truth, tmp_path / "dsm.tif")
     results, layers = load(
         "comparedsm",
-        {"DSM": str(dsm), "REFERENCE": sample["truth"], "REPORT": ""},
+        {"DSM": str(dsm), "REFERENCE": sample.truth, "REPORT": ""},
         {"ERROR": tmp_path / "e.tif"},
     )
     layer = layers["ERROR"]

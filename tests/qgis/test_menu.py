@@ -27,7 +27,7 @@ def test_three_steps_lead_a_new_user_to_a_dsm_and_the_tutorial(desktop_start):
 
 @pytest.mark.long
 def test_the_panel_comes_once_only_and_a_german_qgis_has_german_windows(desktop_start, sample):
-    found = desktop_start("drive_menu.py", {"images": sample["images"]}, seconds=60, locale="de")
+    found = desktop_start("drive_menu.py", {"images": sample.images}, seconds=60, locale="de")
     assert not found["shown"] and {"Erste Schritte", "Passpunkte messen…"} <= set(found["menu"])
     assert found["dock"] == [
         "Passpunkte messen",

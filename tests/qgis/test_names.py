@@ -25,12 +25,12 @@ pytestmark = pytest.mark.skipif(os.name == "nt", reason="Windows refuses such na
 def test_images_and_products_of_the_worst_names(load, town, tmp_path):
     folder = tmp_path / WORST
     folder.mkdir()
-    images = [str(folder / f"{INPUT}{index}.tif") for index in range(len(town["images"]))]
-    for image, copy in zip(town["images"], images):
+    images = [str(folder / f"{INPUT}{index}.tif") for index in range(len(town.images))]
+    for image, copy in zip(town.images, images):
         shutil.copy(image, copy)
-    with open(town["gcps"], encoding="utf-8", newline="") as stream:
+    with open(town.gcps, encoding="utf-8", newline="") as stream:
         heads, *rows = csv.reader(stream)
-    views = {pathlib.Path(image).stem: pathlib.Path(copy).stem for image, copy in zip(town["images"], images)}
+    views = {pathlib.Path(image).stem: pathlib.Path(copy).stem for image, copy in zip(town.images, images)}
     column = heads.index("view")
     points = folder / f"{INPUT}.csv"
     with open(points, "w", encoding="utf-8", newline="") as stream:

@@ -64,8 +64,8 @@ def test_run_compare_register_run_and_compare_again(desktop_start, town, tmp_pat
 
     folder = tmp_path / "old town"
     plan = {
-        "pipeline": {"IMAGES": town["images"], "WORKSPACE": str(folder), "RESOLUTION": 1.0},
-        "reference": town["truth"],
+        "pipeline": {"IMAGES": town.images, "WORKSPACE": str(folder), "RESOLUTION": 1.0},
+        "reference": town.truth,
         "compare": "Compare with a reference…",
         "register": "Register to this reference…",
         "before": "Before",
@@ -85,13 +85,13 @@ def test_run_compare_register_run_and_compare_again(desktop_start, town, tmp_pat
     )
     filled = found["filled"]
     assert filled["register"]["SCENE"] == str(folder / "reconstructed.json")
-    assert filled["register"]["REFERENCE"] == [town["truth"]]
+    assert filled["register"]["REFERENCE"] == [town.truth]
     assert filled["register"]["OUTPUT_SCENE"] == str(folder / "registered.json")
     assert filled["dsmfuse"]["SCENE"] == str(folder / "registered.json") and filled["dsmfuse"]["RESOLUTION"] == 1.0
     assert filled["dsmfuse"]["OUTPUT"] == str(folder / "dsm_registered.tif")
     assert (filled["comparedsm"]["DSM"], filled["comparedsm"]["REFERENCE"]) == (
         str(folder / "dsm_registered.tif"),
-        town["truth"],
+        town.truth,
     )
     assert [band for _, band in found["views"]] == [1, 2] and found["views"][0][0] == "Before the registration"
     assert (
@@ -107,9 +107,7 @@ def test_run_compare_register_run_and_compare_again(desktop_start, town, tmp_pat
         assert named[name] == "old town, registered", named
     assert not [name for name in found["visible"] if name.startswith("Height error")]  # it would hide the differences
     assert Scene.load(str(folder / "registered.json")).registration is not None
-    before, after = (
-        score_files(str(folder / name), town["truth"], "none") for name in ("dsm.tif", "dsm_registered.tif")
-    )
+    before, after = (score_files(str(folder / name), town.truth, "none") for name in ("dsm.tif", "dsm_registered.tif"))
     assert abs(after.metrics.bias) < abs(before.metrics.bias)
     assert os.path.exists(folder / "dsm_registered.qml")
 

@@ -107,8 +107,8 @@ def test_every_parameter_is_an_option_of_the_engine_with_its_default(plugin, nam
 
     for definition in algorithm(name).parameterDefinitions():
         option = definition.name().lower()
-        assert option in STAGES[name].names()
-        default = STAGES[name].option(option).default
+        assert option in STAGES[name].options.names()
+        default = STAGES[name].options.option(option).default
         if definition.isDestination() or default is dataclasses.MISSING or definition.name() == "THRESHOLDS":
             continue
         assert definition.defaultValue() == (None if default == () else default), f"{name}.{option}"

@@ -12,7 +12,7 @@ from qgis.PyQt.QtGui import QColor
 
 
 def test_the_algorithm_writes_a_tileset(load, town, tmp_path, feedback):
-    results, _ = load("tiles3d", {"DSM": town["truth"], "TILES3D": str(tmp_path / "tiles")}, {})
+    results, _ = load("tiles3d", {"DSM": town.truth, "TILES3D": str(tmp_path / "tiles")}, {})
     assert pathlib.Path(results["TILESET"]) == tmp_path / "tiles" / "tileset.json"
     assert len(list((tmp_path / "tiles" / "tiles").glob("*.glb"))) >= 1
     assert any(text.startswith("3-D Tiles: ") for text in feedback.heard["info"])

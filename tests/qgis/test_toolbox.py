@@ -83,7 +83,7 @@ def test_a_preset_goes_before_defaults_that_nobody_gave(plugin, context, feedbac
     from repm_qgis.contracts.options import PipelineOptions
 
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:pipeline").create()
-    given = {"IMAGES": sample["images"], "PRESET": "fast", "FILL": "all", "WORKSPACE": "w", "OUTPUT": "dsm.tif"}
+    given = {"IMAGES": sample.images, "PRESET": "fast", "FILL": "all", "WORKSPACE": "w", "OUTPUT": "dsm.tif"}
     assert algorithm.checkParameterValues(given, context) == (True, "")
     assert algorithm.prepareAlgorithm(given, context, feedback)
     made = PipelineOptions.from_json({**algorithm._inputs, "workspace": "w", "output": "dsm.tif"})
@@ -100,7 +100,7 @@ def test_the_scene_that_was_written_last_is_remembered(no_scenes, context, feedb
     from repm.processing_provider.last_scene import last_scene
 
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:epmfit")
-    results, fine = algorithm.run({"IMAGES": sample["images"], "WORKSPACE": str(tmp_path / "w")}, context, feedback)
+    results, fine = algorithm.run({"IMAGES": sample.images, "WORKSPACE": str(tmp_path / "w")}, context, feedback)
     assert fine, feedback.heard["error"]
     fitted = results["SCENE"]
     assert last_scene("refine") == fitted == str(tmp_path / "w" / "scene.json")
@@ -114,7 +114,7 @@ def test_a_dialog_takes_up_the_newest_scene_that_its_stage_can_begin_with(no_sce
     from repm_qgis.runtime.progress import Silent
     from repm_qgis.stages import run_stage
 
-    fitted = run_stage("epmfit", {"images": town["images"], "workspace": str(tmp_path)}, Silent())["scene"]
+    fitted = run_stage("epmfit", {"images": town.images, "workspace": str(tmp_path)}, Silent()).scene
     refined, reconstructed = (str(tmp_path / f"{name}.json") for name in ("refined", "reconstructed"))
     run_stage("refine", {"scene": fitted, "output_scene": refined}, Silent())
     run_stage("reconstruct", {"scene": refined, "output_scene": reconstructed}, Silent())

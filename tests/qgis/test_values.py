@@ -191,7 +191,7 @@ def test_what_colmaps_adjustment_cannot_do_is_refused_before_anything_runs(plugi
     scene = tmp_path / "scene.json"
     scene.write_text("{}")
     for name, given in (
-        ("pipeline", {"IMAGES": sample["images"], "WORKSPACE": "/w", "OUTPUT": "/w/d.tif"}),
+        ("pipeline", {"IMAGES": sample.images, "WORKSPACE": "/w", "OUTPUT": "/w/d.tif"}),
         ("reconstruct", {"SCENE": str(scene), "OUTPUT_SCENE": "/w/r.json"}),
     ):
         colmap = {**given, "ADJUSTMENT": "colmap"}
@@ -359,10 +359,10 @@ def test_one_folder_is_accepted_as_images(plugin, context, sample, tmp_path):
     """QGIS counts paths: a folder is one, and holds many images."""
     folder = tmp_path / "as delivered"
     folder.mkdir()
-    for path in sample["images"][:2]:
+    for path in sample.images[:2]:
         shutil.copy(path, folder)
     given = {"IMAGES": [str(folder)], "WORKSPACE": str(tmp_path / "w"), "OUTPUT": str(tmp_path / "dsm.tif")}
     assert algorithm("pipeline").checkParameterValues(given, context) == (True, "")
-    (folder / os.path.basename(sample["images"][1])).unlink()
+    (folder / os.path.basename(sample.images[1])).unlink()
     fine, text = algorithm("pipeline").checkParameterValues(given, context)
     assert not fine and "must name at least two images" in text

@@ -126,7 +126,7 @@ def village(tmp_path_factory):
 @pytest.mark.parametrize("house", HOUSES, ids=lambda house: house.kind)
 def test_outline_height_and_volume_are_those_of_the_house(village, house):
     result, found, (_, solids) = village
-    assert result["n_buildings"] == len(found) == len(HOUSES)
+    assert result.n_buildings == len(found) == len(HOUSES)
     fields, shape = at(found, house.place)
     assert shape.GetArea() == pytest.approx(house.area, rel=TOLERANCE_M2) and shape.IsValid()
     assert shape.GetGeometryRef(0).GetPointCount() == 5, "four straight walls"
@@ -340,7 +340,7 @@ def test_nothing_found_is_said_and_gives_empty_files(tmp_path):
     given = {"dsm": written(tmp_path / "dsm.tif", [base]), "dtm": written(tmp_path / "dtm.tif", [base])}
     given.update(output=str(tmp_path / "b.gpkg"), cityjson=str(tmp_path / "b.json"), report=str(tmp_path / "b.html"))
     result = run_stage("buildings", given, Heard())
-    assert result["n_buildings"] == 0 and any("No building of at least 2.5 m" in text for text in Heard.warned)
+    assert result.n_buildings == 0 and any("No building of at least 2.5 m" in text for text in Heard.warned)
     assert ogr.Open(given["output"]).GetLayer(0).GetFeatureCount() == 0
     city, solids = checked(given["cityjson"])
     assert city["CityObjects"] == {} and city["vertices"] == [] and solids == {}

@@ -98,15 +98,15 @@ def polygons(path):
 def test_a_heap_and_a_pit_are_found_with_their_volumes(dates, witnessed, tmp_path, told):
     made = {"significant": str(tmp_path / "s.tif"), "report": str(tmp_path / "r.html")}
     found = change(*dates, tmp_path, told, **made, **witnessed)
-    assert (found["dx"], found["dy"], found["dz"]) == pytest.approx((-0.8, 0.55, -1.7), abs=0.06)
+    assert (found.dx, found.dy, found.dz) == pytest.approx((-0.8, 0.55, -1.7), abs=0.06)
     heap, pit = sorted(polygons(tmp_path / "v.gpkg"), key=lambda each: -each["volume_m3"])
     for each, kind, area, volume in ((heap, "gain", 400, 1200), (pit, "loss", 500, -1000)):
         assert each["change"] == kind and each["area_m2"] == pytest.approx(area, rel=0.1)
         assert each["volume_m3"] == pytest.approx(volume, rel=0.07)
         assert abs(each["volume_m3"] - volume) < 2 * each["deviation_m3"] < 0.3 * abs(volume)
         assert each["shape"].IsValid() and each["shape"].GetArea() == pytest.approx(each["area_m2"], rel=1e-6)
-    assert found["gained_m3"] == pytest.approx(heap["volume_m3"]) and found["changes"] == 2
-    assert found["lost_m3"] == pytest.approx(-pit["volume_m3"])
+    assert found.gained_m3 == pytest.approx(heap["volume_m3"]) and found.changes == 2
+    assert found.lost_m3 == pytest.approx(-pit["volume_m3"])
     significant = gdal.Open(str(tmp_path / "s.tif"))
     values, level = (significant.GetRasterBand(band).ReadAsArray() for band in (1, 2))
     shown = np.where(values == -9999, 0, values)
@@ -124,7 +124,7 @@ def test_a_heap_and_a_pit_are_found_with_their_volumes(dates, witnessed, tmp_pat
 def test_nothing_changed_between_two_dsms_of_one_date(tmp_path, told):
     paths = [write(tmp_path / f"{seed}.tif", [ground() + noise(seed)]) for seed in (1, 2)]
     found = change(*paths, tmp_path, told, report=str(tmp_path / "r.html"))
-    assert found["changes"] == 0 and found["gained_m3"] == found["lost_m3"] == 0
+    assert found.changes == 0 and found.gained_m3 == found.lost_m3 == 0
     assert polygons(tmp_path / "v.gpkg") == []
     assert "Nothing changed significantly" in (tmp_path / "r.html").read_text(encoding="utf-8")
 
@@ -149,7 +149,7 @@ def test_walls_that_matching_moved_are_no_change(tmp_path, told):
     paths = [write(tmp_path / name, [heights]) for name, heights in (("a.tif", ground()), ("b.tif", wide))]
     noisy = [write(tmp_path / f"n{i}.tif", [gdal.Open(p).ReadAsArray() + noise(i)]) for i, p in enumerate(paths)]
     for order in (noisy, noisy[::-1]):
-        assert change(*order, tmp_path, told, min_area=10)["changes"] == 0
+        assert change(*order, tmp_path, told, min_area=10).changes == 0
 
 
 @pytest.mark.long
@@ -161,8 +161,8 @@ def test_filled_cells_and_few_witnesses_are_no_change(dates, tmp_path, told):
     for name, more, expected in (("plain", {}, 2), ("source", {"source": source}, 1), ("count", {"count": count}, 1)):
         other = confidence(tmp_path / f"{name}.tif", **more)
         found = change(*dates, tmp_path, told, before_confidence=plain, after_confidence=other, align="3d")
-        assert found["changes"] == expected, name
-        assert (found["gained_m3"] == 0) == (expected == 1)
+        assert found.changes == expected, name
+        assert (found.gained_m3 == 0) == (expected == 1)
 
 
 @pytest.mark.parametrize("stated", [True, False])
@@ -173,11 +173,11 @@ def test_heights_that_nothing_checks_need_larger_changes(stated, dates, tmp_path
     if stated:
         three, one = confidence(tmp_path / "c3.tif"), confidence(tmp_path / "c1.tif", count=np.ones((SIDE, SIDE)))
         made = {"before_confidence": three, "after_confidence": one}
-    assert change(*dates, tmp_path, told, **made)["changes"] == 0
+    assert change(*dates, tmp_path, told, **made).changes == 0
     tall = gdal.Open(dates[1]).ReadAsArray()
     tall[BUILT] += 5.0
     found = change(dates[0], write(tmp_path / "tall.tif", [tall]), tmp_path, told, **made)
-    assert found["changes"] == 1 and found["gained_m3"] == pytest.approx(3200, rel=0.07)
+    assert found.changes == 1 and found.gained_m3 == pytest.approx(3200, rel=0.07)
 
 
 def test_a_blurred_edge_lies_where_half_of_the_height_is_reached(witnessed, tmp_path, told):
@@ -207,7 +207,7 @@ def test_uncertain_heights_need_larger_changes(dates, tmp_path, told):
     error[170:240, 190:250] = 3.0  # where the pit is
     paths = [confidence(tmp_path / f"{name}.tif", error) for name in ("b", "a")]
     found = change(*dates, tmp_path, told, before_confidence=paths[0], after_confidence=paths[1])
-    assert found["changes"] == 1 and found["lost_m3"] == 0
+    assert found.changes == 1 and found.lost_m3 == 0
 
 
 def test_other_cells_and_another_crs(dates, witnessed, tmp_path, told):
@@ -218,8 +218,8 @@ def test_other_cells_and_another_crs(dates, witnessed, tmp_path, told):
     far = None  # noqa: F841
     for before, after, sign in ((dates[0], tmp_path / "far.tif", 1), (tmp_path / "far.tif", dates[0], -1)):
         found = change(str(before), str(after), tmp_path, told, **witnessed)
-        gained, lost = (found["gained_m3"], found["lost_m3"])[::sign]
-        assert found["changes"] == 2 and (gained, lost) == pytest.approx((1200, 1000), rel=0.1)
+        gained, lost = (found.gained_m3, found.lost_m3)[::sign]
+        assert found.changes == 2 and (gained, lost) == pytest.approx((1200, 1000), rel=0.1)
         assert gdal.Open(str(tmp_path / "d.tif")).GetGeoTransform()[1] == 1
 
 
@@ -241,8 +241,8 @@ def test_blocks_change_nothing(dates, tmp_path, told):
 
 
 def test_small_changes_are_left_out(dates, tmp_path, told):
-    assert change(*dates, tmp_path, told, min_area=450)["gained_m3"] == 0
-    assert change(*dates, tmp_path, told, min_area=700)["changes"] == 0
+    assert change(*dates, tmp_path, told, min_area=450).gained_m3 == 0
+    assert change(*dates, tmp_path, told, min_area=700).changes == 0
 
 
 def test_what_cannot_be_compared_is_refused_in_a_sentence(dates, tmp_path, told):

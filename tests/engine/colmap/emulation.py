@@ -171,7 +171,7 @@ class Workspace:
     def correlations(self, name, other, depths, radius):
         """(depths, H, W) correlation of an image's windows with another's, on planes that face the camera."""
         reference, source = self.cameras[name], self.cameras[other]
-        image, width, height = self.images[name], *self.cameras[name].size
+        image, (width, height) = self.images[name], self.cameras[name].size
         side = (2 * radius + 1,) * 2
         columns, rows = np.meshgrid(np.arange(width, dtype=F), np.arange(height, dtype=F))
         mean = cv2.blur(image, side)

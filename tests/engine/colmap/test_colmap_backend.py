@@ -451,7 +451,7 @@ def test_the_whole_way_to_a_dsm(urban, refined, tmp_path, with_gpu, told):
         told(),
     )
     facts = run_stage("comparedsm", {"dsm": str(tmp_path / "dsm.tif"), "reference": urban.truth, "align": "3d"}, told())
-    assert facts["nmad"] < 1.0  # level windows at roofs' edges; what PatchMatchOptions itself gives needs a GPU
+    assert facts.nmad < 1.0  # level windows at roofs' edges; what PatchMatchOptions itself gives needs a GPU
     again = told()
     reconstruct(refined, tmp_path, again, backend="auto")
     assert any("Reused" in note for note in again.notes)
@@ -477,7 +477,7 @@ def test_auto_falls_back_to_the_cpu_for_a_tile_and_says_so(refined, tmp_path, wi
     assert others and all(record.backend == "colmap" for tile in others for record in tile.heights)
     warning = f"Tile {first.id} was matched by sgm instead: GPU 0 ran out of memory"
     assert any(text.startswith(warning) for text in said.warnings)
-    with open(made["report"], encoding="utf-8") as stream:
+    with open(made.report, encoding="utf-8") as stream:
         assert "was matched by sgm instead" in stream.read()
     run_stage("dsmfuse", {"scene": str(tmp_path / "done.json"), "output": str(tmp_path / "dsm.tif")}, told())
 

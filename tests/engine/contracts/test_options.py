@@ -27,7 +27,7 @@ FILES = {"images": ["a.tif", "b.tif"], "workspace": "w", "output": "dsm.tif"}
 @pytest.mark.long
 def test_no_options_class_is_called_with_positions():
     """Neither where a checker of types would see it, nor in tests and scripts."""
-    names = {stage.__name__ for stage in STAGES.values()}
+    names = {stage.options.__name__ for stage in STAGES.values()}
     folders = ("repm_qgis", "processing_provider", "benchmarks", "scripts", "tests")
     found, calls = [], 0
     for path in (path for folder in folders for path in (ROOT / folder).rglob("*.py")):
@@ -41,7 +41,7 @@ def test_no_options_class_is_called_with_positions():
 
 def test_a_position_is_refused():
     with pytest.raises(TypeError, match="by name"):
-        STAGES["refine"]("scene.json", "refined.json")
+        STAGES["refine"].options("scene.json", "refined.json")
 
 
 def test_the_pipeline_has_every_option_of_its_stages_but_those_that_it_sets():
@@ -91,7 +91,7 @@ def test_the_terrain_model_takes_the_dem_or_finds_its_surface(given, model, surf
 )
 def test_wrong_values_are_one_sentence(stage, wrong, words):
     with pytest.raises(OptionError) as caught:
-        STAGES[stage].from_json({**(FILES if stage == "pipeline" else {}), **wrong})
+        STAGES[stage].options.from_json({**(FILES if stage == "pipeline" else {}), **wrong})
     assert words in str(caught.value) and str(caught.value).endswith(".") and "\n" not in str(caught.value)
 
 
@@ -123,5 +123,5 @@ def test_json_there_and_back():
 )
 def test_values_of_other_types_are_refused(wrong, words):
     with pytest.raises(OptionError) as caught:
-        STAGES["pipeline"].from_json({**FILES, **wrong})
+        STAGES["pipeline"].options.from_json({**FILES, **wrong})
     assert words in str(caught.value)

@@ -46,7 +46,7 @@ def test_products_are_written_there(as_on_such_drives, told):
 
     folder = as_on_such_drives / "town"
     made = run_stage("sampledata", {"folder": str(folder), "size": 128}, told())
-    assert all(Path(image).stat().st_size for image in made["images"])
+    assert all(Path(image).stat().st_size for image in made.images)
 
 
 def test_the_engine_asks_nowhere_else():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,7 @@ ROOT = str(Path(__file__).resolve().parents[3])
 
 def test_every_product_is_an_option_of_its_stage_or_a_result_of_it():
     for product in PRODUCTS:
-        assert product.option in STAGES[product.stage].names() or (product.stage, product.option) == (
+        assert product.option in STAGES[product.stage].options.names() or (product.stage, product.option) == (
             "sampledata",
             "truth",
         )
@@ -30,8 +31,8 @@ def test_every_product_is_an_option_of_its_stage_or_a_result_of_it():
 def test_every_option_that_names_something_to_write_is_a_product():
     """By their types: paths that may be left out, and that no stage reads."""
     for name, stage in STAGES.items():
-        for option in stage.names():
-            declared = stage.option(option)
+        for option in stage.options.names():
+            declared = stage.options.option(option)
             path = declared.type == "Optional[str]" and not declared.metadata.get("read")
             if path and option not in ("crs", "command"):
                 assert any(product.option == option for product in products_of(name)) or option == "report", option
@@ -80,8 +81,8 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(urban, tmp_pa
 @pytest.mark.slow
 def test_the_report_names_every_product_that_was_made(urban_run):
     named = {"view_heights": "/somewhere/pairs", "stac": "/somewhere/dsm.json", "water_mask": "/somewhere/water.tif"}
-    made = {**urban_run.result, **named}
-    page = plain(pipeline_report(Scene.load(made["scene"]), made, made["seconds"], None).html())
+    made = replace(urban_run.result, **named)
+    page = plain(pipeline_report(Scene.load(made.scene), made, None).html())
     for product in products_of("pipeline"):
         if product.stage == "dsmfuse":
-            assert f"<td>{product.title}</td>" in page and str(made[product.option]) in page
+            assert f"<td>{product.title}</td>" in page and str(getattr(made, product.option)) in page

@@ -83,7 +83,7 @@ def test_what_a_polygon_covers_is_removed_filled_or_set(tmp_path):
     for top, bottom, left, right in ((5, 25, 5, 15), (26, 64, 36, 84), (100, 110, 100, 110)):
         untouched[top:bottom, left:right] = False
     assert (heights[untouched] == house[untouched]).all()
-    assert (result["edits"], result["edited_cells"]) == (3, 200 + 38 * 48 + 100)
+    assert (result.edits, result.edited_cells) == (3, 200 + 38 * 48 + 100)
 
 
 def test_a_fill_is_the_membrane_of_its_rim(tmp_path):
@@ -232,7 +232,7 @@ def test_the_confidence_says_what_was_edited(tmp_path):
     assert (source[10:20, 10:20] == Provenance.EDITED).all() and np.isnan(source[10:20, 30:40]).all()
     assert np.isnan(read(out, 5)[10:20, 10:20]).all() and np.isnan(read(out, 1)[10:20, 10:20]).all()
     assert (source[30:, :200] == 0).all() and (source[30:, 200:] == 1).all()
-    assert (read(out, 5)[30:] == np.float32(0.4)).all() and result["edited_confidence"] == out
+    assert (read(out, 5)[30:] == np.float32(0.4)).all() and result.edited_confidence == out
     with raster.opened(out) as dataset:
         assert "6 edited by hand" in dataset.GetRasterBand(4).GetDescription()
     assert (tmp_path / "out_confidence.qml").exists() and (tmp_path / "edited.qml").exists()
@@ -312,7 +312,7 @@ def test_what_cannot_be_done_is_said_and_leaves_nothing(tmp_path):
         edited(tmp_path, dsm, confidence=other, edited_confidence=str(tmp_path / "c.tif"))
     progress = Recorder(Silent())
     heights, result = edited(tmp_path, dsm, edit(9, "remove", box(900, 900, 950, 950)), progress=progress)
-    assert result["edited_cells"] == 0 and "Edit 9 lies outside the DSM" in progress.warnings[0]
+    assert result.edited_cells == 0 and "Edit 9 lies outside the DSM" in progress.warnings[0]
     assert not [path.name for path in tmp_path.iterdir() if ".part" in path.name]
 
 

@@ -61,8 +61,8 @@ def test_distances_along_the_normal_of_a_tilted_plane(make_raster, tmp_path, mov
     reference[20:24, 30:36] = np.nan  # its border has no slope
     page = tmp_path / "r.html"
     got = compare(make_raster("dsm.tif", dsm), make_raster("ref.tif", reference), report=str(page))
-    assert got["bias"] == pytest.approx(height, abs=1e-4) and got["cells"] == 60 * 50 - 24
-    normal = got["along_normals"]
+    assert got.bias == pytest.approx(height, abs=1e-4) and got.cells == 60 * 50 - 24
+    normal = got.along_normals
     assert normal["bias"] == pytest.approx(distance, abs=0.003) and normal["rmse"] == pytest.approx(
         abs(distance), abs=1e-4
     )
@@ -84,15 +84,15 @@ def test_numbers_raster_and_report(make_raster, tmp_path, terrain):
         float
     )
     n = np.isfinite(reference).sum()
-    assert got["cells"] == e.size
-    assert got["rmse"] == pytest.approx(np.sqrt((e**2).mean()), abs=1e-6)
-    assert got["medae"] == pytest.approx(np.median(abs(e)), abs=1e-6)
-    assert got["mae"] == pytest.approx(abs(e).mean(), abs=1e-6)
-    assert got["bias"] == pytest.approx(np.median(e), abs=1e-6)
-    assert got["nmad"] == pytest.approx(1.4826 * np.median(abs(e - np.median(e))), abs=1e-6)
-    assert got["valid"] == pytest.approx(100 * e.size / n, abs=1e-6)
-    assert got["completeness"] == pytest.approx(100 * (abs(e) < 0.5).sum() / n, abs=1e-6)
-    assert set(got["completeness_by_threshold"]) == {"0.5", "1"}
+    assert got.cells == e.size
+    assert got.rmse == pytest.approx(np.sqrt((e**2).mean()), abs=1e-6)
+    assert got.medae == pytest.approx(np.median(abs(e)), abs=1e-6)
+    assert got.mae == pytest.approx(abs(e).mean(), abs=1e-6)
+    assert got.bias == pytest.approx(np.median(e), abs=1e-6)
+    assert got.nmad == pytest.approx(1.4826 * np.median(abs(e - np.median(e))), abs=1e-6)
+    assert got.valid == pytest.approx(100 * e.size / n, abs=1e-6)
+    assert got.completeness == pytest.approx(100 * (abs(e) < 0.5).sum() / n, abs=1e-6)
+    assert set(got.completeness_by_threshold) == {"0.5", "1"}
     json.dumps(got, allow_nan=False)
     raster = gdal.Open(str(tmp_path / "e.tif"))
     values, band = raster.ReadAsArray(), raster.GetRasterBand(1)
@@ -112,15 +112,15 @@ def test_alignment_removes_what_was_put_in(make_raster, align, terrain, told):
     b = make_raster("ref.tif", terrain(300, 340) - 2.0)
     said = told()
     got = compare(a, b, said, align=align)
-    moved = [note for note in said.notes if f"'{a}' was moved by {got['dx']:+.3f} m to the east" in note]
+    moved = [note for note in said.notes if f"'{a}' was moved by {got.dx:+.3f} m to the east" in note]
     assert len(moved) == (align != "none")
     if align == "3d":
-        assert (got["dx"], got["dy"], got["dz"]) == pytest.approx((-1.8, 0.9, -2.0), abs=0.025)
-        assert got["rmse"] < 0.02
+        assert (got.dx, got.dy, got.dz) == pytest.approx((-1.8, 0.9, -2.0), abs=0.025)
+        assert got.rmse < 0.02
     elif align == "vertical":
-        assert abs(got["bias"]) < 1e-5 and (got["dx"], got["dy"]) == (0, 0) and got["rmse"] > 1
+        assert abs(got.bias) < 1e-5 and (got.dx, got.dy) == (0, 0) and got.rmse > 1
     else:
-        assert (got["dx"], got["dy"], got["dz"]) == (0, 0, 0) and got["bias"] == pytest.approx(2.0, abs=0.5)
+        assert (got.dx, got.dy, got.dz) == (0, 0, 0) and got.bias == pytest.approx(2.0, abs=0.5)
 
 
 def test_other_grid_and_crs(make_raster, terrain, surface):
@@ -136,10 +136,10 @@ def test_other_grid_and_crs(make_raster, terrain, surface):
         "dsm.tif", surface(x - 499890.0, y - 5000000.0) + 0.5, cell=0.5, crs="EPSG:32632", origin=(x0, y0)
     )
     got = compare(dsm, reference)
-    assert got["cells"] > 15000
-    assert got["bias"] == pytest.approx(0.5, abs=0.01) and got["nmad"] < 0.05
+    assert got.cells > 15000
+    assert got.bias == pytest.approx(0.5, abs=0.01) and got.nmad < 0.05
     moved = compare(dsm, reference, align="3d")
-    assert np.hypot(moved["dx"], moved["dy"]) < 0.05 and moved["dz"] == pytest.approx(-0.5, abs=0.01)
+    assert np.hypot(moved.dx, moved.dy) < 0.05 and moved.dz == pytest.approx(-0.5, abs=0.01)
 
 
 def test_reference_in_degrees(make_raster, surface):
@@ -155,7 +155,7 @@ def test_reference_in_degrees(make_raster, surface):
     b = make_raster("ref.tif", at(0, 0), cell=cell, crs="EPSG:4326", origin=(5.4, 43.3))
     a = make_raster("dsm.tif", at(2.2, -1.4) + 1, cell=cell, crs="EPSG:4326", origin=(5.4, 43.3))
     got = compare(a, b, align="3d")
-    assert (got["dx"], got["dy"], got["dz"]) == pytest.approx((-2.2, 1.4, -1.0), abs=0.04)
+    assert (got.dx, got.dy, got.dz) == pytest.approx((-2.2, 1.4, -1.0), abs=0.04)
 
 
 def test_metres_per_degree_against_geodesics():
@@ -175,9 +175,9 @@ def test_holes_do_not_bleed(make_raster):
     a = make_raster("dsm.tif", dsm, origin=(ORIGIN[0] + 0.2, ORIGIN[1]), nodata=-32768.0)
     b = make_raster("ref.tif", np.full((60, 60), 10.0))
     got = compare(a, b)
-    assert got["rmse"] < 1e-6
+    assert got.rmse < 1e-6
     # the edge and the single hole keep their places (the nearest cells of the DSM's are those of the same number)
-    assert got["cells"] == 60 * 30 - 1
+    assert got.cells == 60 * 30 - 1
 
 
 @pytest.mark.parametrize("missing", [np.nan, -9999.0])
@@ -185,7 +185,7 @@ def test_undeclared_nodata(make_raster, missing):
     dsm = np.full((50, 50), 7.0)
     dsm[5:10] = missing
     got = compare(make_raster("dsm.tif", dsm, nodata=None), make_raster("ref.tif", np.full((50, 50), 6.0)))
-    assert got["cells"] == 2250 and got["rmse"] == pytest.approx(1.0)
+    assert got.cells == 2250 and got.rmse == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("site", ["pleiades_pair", "pleiades_triplet", "truth_urban"])
@@ -200,15 +200,15 @@ def test_agrees_with_the_scoring_tool_on_real_dsms(shared_data, make_raster, sit
     noisy = z + rng.normal(0.2, 0.4, z.shape)
     dsm = make_raster("dsm.tif", noisy, origin=(gt[0] + 0.13, gt[3] - 0.21), cell=gt[1], wkt=dataset.GetProjection())
     got, want = compare(dsm, str(path), thresholds=[1, 2.5, 5]), score(shared_data, dsm, str(path))
-    assert got["nmad"] == pytest.approx(want["NMAD"], abs=0.01)
-    assert got["bias"] == pytest.approx(want["bias"], abs=0.01)
-    assert got["medae"] == pytest.approx(want["ME"], abs=0.01)
+    assert got.nmad == pytest.approx(want["NMAD"], abs=0.01)
+    assert got.bias == pytest.approx(want["bias"], abs=0.01)
+    assert got.medae == pytest.approx(want["ME"], abs=0.01)
     # only holes differ: the tool's resampling closes small ones, ours keeps their size
-    assert np.isfinite(z).sum() == pytest.approx(got["cells"] / got["valid"] * 100)
-    assert 98 < got["valid"] <= want["valid"] + 0.01
-    assert want["C1"] - 3 < got["completeness"] <= want["C1"] + 0.01
+    assert np.isfinite(z).sum() == pytest.approx(got.cells / got.valid * 100)
+    assert 98 < got.valid <= want["valid"] + 0.01
+    assert want["C1"] - 3 < got.completeness <= want["C1"] + 0.01
     same = compare(str(shutil.copy(path, Path(dsm).with_name("same.tif"))), str(path))
-    assert same["rmse"] == 0 and same["valid"] == pytest.approx(100)
+    assert same.rmse == 0 and same.valid == pytest.approx(100)
 
 
 def test_identical_grids_agree_exactly_with_the_tool(shared_data, make_raster):
@@ -229,7 +229,7 @@ def test_identical_grids_agree_exactly_with_the_tool(shared_data, make_raster):
         ("valid", "valid"),
         ("completeness", "C1"),
     ):
-        assert got[ours] == pytest.approx(want[theirs], abs=0.00051), ours
+        assert getattr(got, ours) == pytest.approx(want[theirs], abs=0.00051), ours
 
 
 def test_vertical_datums_that_differ(make_raster, terrain):
@@ -244,7 +244,7 @@ def test_vertical_datums_that_differ(make_raster, terrain):
     b = make_raster("ref.tif", z, crs="EPSG:32631+5773")
     got = compare(a, b)
     assert abs(geoid) > 40
-    assert abs(got["bias"]) < 0.01 and got["nmad"] < 0.01
+    assert abs(got.bias) < 0.01 and got.nmad < 0.01
 
 
 def ellipsoidal_utm31():
@@ -265,7 +265,7 @@ def test_our_own_dsms_say_that_they_are_ellipsoidal(make_raster, terrain):
     dataset = None  # noqa: F841
     watch = Watch()
     got = compare(a, make_raster("ref.tif", terrain(100, 100), crs="EPSG:32631+5773"), watch)
-    assert abs(got["bias"]) < 0.01 and got["nmad"] < 0.01 and not watch.warnings
+    assert abs(got.bias) < 0.01 and got.nmad < 0.01 and not watch.warnings
 
 
 def test_missing_vertical_grid_is_named(make_raster, terrain):
@@ -336,7 +336,7 @@ def test_a_turned_reference_is_refused_and_rounding_turns_nothing(make_raster, t
         with pytest.raises(ImageError, match="turned.tif' has a rotated grid: bring it north up first"):
             compare(dsm, reference)
     else:
-        assert compare(dsm, reference)["rmse"] < 1e-3
+        assert compare(dsm, reference).rmse < 1e-3
 
 
 def test_cancel_leaves_nothing(make_raster, tmp_path, terrain):
@@ -390,14 +390,14 @@ def test_errors_by_class_equal_an_independent_count(make_raster, terrain):
     classes[:, 34:] = np.nan
     names = make_raster("classes.tif", classes, origin=(ORIGIN[0] - 20, ORIGIN[1] + 20), cell=4.0)
     got = compare(make_raster("dsm.tif", reference + error), make_raster("ref.tif", reference), classes=names)
-    assert set(got["by_class"]) == {"1", "7"}
+    assert set(got.by_class) == {"1", "7"}
     where = {"1": ~east, "7": east & (column * cell < 34 * 4 - 20)}
     for name, inside in where.items():
         e = error[inside].astype(float)
-        assert got["by_class"][name]["cells"] == inside.sum()
-        assert got["by_class"][name]["rmse"] == pytest.approx(np.sqrt((e**2).mean()), abs=1e-5)
-        assert got["by_class"][name]["bias"] == pytest.approx(np.median(e), abs=0.005)
-        assert got["by_class"][name]["completeness"] == pytest.approx(100 * (abs(e) < 1).mean(), abs=0.01)
+        assert got.by_class[name]["cells"] == inside.sum()
+        assert got.by_class[name]["rmse"] == pytest.approx(np.sqrt((e**2).mean()), abs=1e-5)
+        assert got.by_class[name]["bias"] == pytest.approx(np.median(e), abs=0.005)
+        assert got.by_class[name]["completeness"] == pytest.approx(100 * (abs(e) < 1).mean(), abs=0.01)
 
 
 def test_classes_have_their_names_and_are_few(make_raster, terrain, tmp_path):
@@ -409,7 +409,7 @@ def test_classes_have_their_names_and_are_few(make_raster, terrain, tmp_path):
     dataset = None  # noqa: F841
     a, b = make_raster("dsm.tif", terrain(100, 100)), make_raster("reference.tif", terrain(100, 100))
     got = compare(a, b, classes=path, report=str(tmp_path / "r.html"))
-    assert list(got["by_class"]) == ["roofs", "ground"] and got["by_class"]["roofs"]["cells"] == 5000
+    assert list(got.by_class) == ["roofs", "ground"] and got.by_class["roofs"]["cells"] == 5000
     assert "roofs" in (tmp_path / "r.html").read_text(encoding="utf-8")
     with pytest.raises(ImageError, match=r"noclass.tif.*whole numbers"):
         compare(a, b, classes=make_raster("noclass.tif", terrain(100, 100)))
@@ -427,8 +427,8 @@ def test_several_dsms_in_one_table(make_raster, terrain, tmp_path):
         error=str(tmp_path / "e.tif"),
         report=str(tmp_path / "r.html"),
     )
-    assert got["bias"] == pytest.approx(0.25, abs=1e-5)
-    assert [(one["dsm"], round(one["bias"], 4)) for one in got["others"]] == [(second, -0.5)]
+    assert got.bias == pytest.approx(0.25, abs=1e-5)
+    assert [(one["dsm"], round(one["bias"], 4)) for one in got.others] == [(second, -0.5)]
     error = gdal.Open(str(tmp_path / "e.tif")).ReadAsArray()
     assert np.median(error) == pytest.approx(0.25, abs=1e-4)  # the first one's errors
     page = (tmp_path / "r.html").read_text(encoding="utf-8")
@@ -492,7 +492,7 @@ def test_a_reference_of_90_m_covers_a_dsm_with_many_holes_and_that_is_said(make_
         dsm = make_raster(f"dsm{known}.tif", heights, cell=2.0)
         if fits:
             got = compare(dsm, reference)
-            assert got["cells"] >= 25 and got["bias"] == pytest.approx(1.0, abs=1e-3)
+            assert got.cells >= 25 and got.bias == pytest.approx(1.0, abs=1e-3)
             with pytest.raises(EmptyResultError, match="or has smaller cells, or set ALIGN to none"):
                 compare(dsm, reference, align="3d")
             continue
@@ -522,7 +522,7 @@ def test_a_dsm_that_shows_another_surface_is_not_called_good(make_raster, tmp_pa
         report = tmp_path / f"{name}.html"
         got = compare(dsm, reference, align="vertical", others=others, report=str(report))
         tops[name] = report.read_text(encoding="utf-8").split("<h2")[0]
-        assert (got["nmad"] > 10) == (name == "bad")
+        assert (got.nmad > 10) == (name == "bad")
     assert "Good." in tops["sound"]
     assert "Good." not in tops["bad"] and "do not show the same surface" in tops["bad"]
     assert "Good." not in tops["both"] and "&#39;bad&#39;: The heights spread" in tops["both"]

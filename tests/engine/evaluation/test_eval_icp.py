@@ -61,7 +61,7 @@ def compare(dsm, reference, **options):
 
 
 def added(result):
-    return np.array([result[name] for name in ("dx", "dy", "dz")])
+    return np.array([result.dx, result.dy, result.dz])
 
 
 @pytest.mark.long
@@ -77,7 +77,7 @@ def test_a_clouds_points_lay_a_dsm_onto_it(dsm, tmp_path):
     reference = las(tmp_path / "lidar.laz", scattered(230_000, 3))
     found = compare(dsm, reference, align="icp", report=str(tmp_path / "r.html"))
     np.testing.assert_allclose(added(found), -SHIFT, atol=0.02)
-    assert found["nmad"] < 0.15 and abs(found["bias"]) < 0.02 and found["cells"] > 100_000
+    assert found.nmad < 0.15 and abs(found.bias) < 0.02 and found.cells > 100_000
     assert "point to plane" in (tmp_path / "r.html").read_text(encoding="utf-8")
 
 
@@ -115,8 +115,8 @@ def test_a_clouds_raster_has_first_returns_without_noise(make_raster, tmp_path):
     reference = las(tmp_path / "lidar.las", xyz, returns=returns, kind=kind)
     flat = make_raster("flat.tif", np.full((100, 100), 21.5), (WEST, NORTH - 190), cell=0.5)
     found = compare(flat, reference)
-    assert found["bias"] == pytest.approx(1.5, abs=1e-4) and found["rmse"] == pytest.approx(1.5, abs=1e-4)
-    assert found["cells"] > 8500
+    assert found.bias == pytest.approx(1.5, abs=1e-4) and found.rmse == pytest.approx(1.5, abs=1e-4)
+    assert found.cells > 8500
 
 
 def test_what_cannot_be_aligned_is_shortage_as_error(dsm, make_raster, tmp_path, monkeypatch):

@@ -19,10 +19,10 @@ def test_files_are_scored_as_by_the_stage(make_raster, terrain, method):
     a, b = make_raster("dsm.tif", heights), make_raster("ref.tif", terrain(150, 170))
     found = score_files(a, b, method)
     stage = run_stage("comparedsm", {"dsm": a, "reference": b, "align": method}, Silent())
-    assert (found.alignment.dx, found.alignment.dy) == pytest.approx((stage["dx"], stage["dy"]), abs=1e-9)
+    assert (found.alignment.dx, found.alignment.dy) == pytest.approx((stage.dx, stage.dy), abs=1e-9)
     for name in ("rmse", "medae", "mae", "nmad", "bias", "valid"):
-        assert getattr(found.metrics, name) == pytest.approx(stage[name], abs=1e-6), name
-    assert dict(found.metrics.completeness)[1.0] == pytest.approx(stage["completeness"], abs=1e-6)
+        assert getattr(found.metrics, name) == pytest.approx(getattr(stage, name), abs=1e-6), name
+    assert dict(found.metrics.completeness)[1.0] == pytest.approx(stage.completeness, abs=1e-6)
 
 
 def test_whole_cells_leave_out_what_they_uncover():

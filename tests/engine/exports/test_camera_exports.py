@@ -35,15 +35,13 @@ def folder(tmp_path_factory):
 def scenes(urban, folder, told):
     """Paths of the fitted, the refined and the reconstructed scene of the town: four tiles, three views."""
     fitted = run_stage("epmfit", {"images": urban.images, "workspace": str(folder / "w"), "tile_size": 256}, told())
-    refined = run_stage(
-        "refine", {"scene": fitted["scene"], "output_scene": str(folder / "w" / "refined.json")}, told()
-    )
+    refined = run_stage("refine", {"scene": fitted.scene, "output_scene": str(folder / "w" / "refined.json")}, told())
     rebuilt = run_stage(
         "reconstruct",
-        {"scene": refined["output_scene"], "workers": 1, "output_scene": str(folder / "w" / "rebuilt.json")},
+        {"scene": refined.output_scene, "workers": 1, "output_scene": str(folder / "w" / "rebuilt.json")},
         told(),
     )
-    return {"fitted": fitted["scene"], "refined": refined["output_scene"], "rebuilt": rebuilt["output_scene"]}
+    return {"fitted": fitted.scene, "refined": refined.output_scene, "rebuilt": rebuilt.output_scene}
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +60,7 @@ def exported(scenes, folder, told):
                 **options,
             }
             known[key] = run_stage("exportcameras", given, told())
-        return Path(known[key]["models"][0]), known[key]
+        return Path(known[key].models[0]), known[key]
 
     return export
 
@@ -128,7 +126,7 @@ def pixels_of(path):
 @pytest.mark.long
 def test_pycolmap_sees_what_the_refined_cameras_see(exported, scenes, ground, form):
     model, result = exported("colmap", centre=False)
-    assert result["images"] == 3 and result["models"] == [str(model)]
+    assert result.images == 3 and result.models == [str(model)]
     tile = next(tile for tile in Scene.load(scenes["refined"]).tiles if tile.id == TILE)
     pixels = colmap_pixels(model, ground[1], form)
     assert set(pixels) == set(tile.views)
@@ -313,8 +311,8 @@ def test_every_tile_is_a_model_of_its_own(scenes, tmp_path, told):
         "exportcameras", {"scene": scenes["refined"], "folder": str(tmp_path / "all"), "format": "mvsnet"}, said
     )
     tiles = [tile.id for tile in Scene.load(scenes["refined"]).tiles]
-    assert len(tiles) == 4 and result["models"] == [str(tmp_path / "all" / tile) for tile in tiles]
-    assert result["images"] == 12 and result["folder"] == str(tmp_path / "all")
+    assert len(tiles) == 4 and result.models == [str(tmp_path / "all" / tile) for tile in tiles]
+    assert result.images == 12 and result.folder == str(tmp_path / "all")
     assert sorted(path.name for path in (tmp_path / "all").iterdir()) == sorted(tiles)
     assert said.fractions == sorted(said.fractions) and said.fractions[-1] == 1
     again = run_stage(

@@ -24,7 +24,7 @@ TIMES = ("2013-04-17T10:37:19.100Z", "2013-04-17T10:37:45.300Z", "2013-04-17T10:
 
 @pytest.fixture
 def timed(urban_run):
-    scene = Scene.load(urban_run.result["scene"])
+    scene = Scene.load(urban_run.result.scene)
     views = (replace(view, acquired=time, sensor="Pleiades 1A") for view, time in zip(scene.views, TIMES))
     return replace(scene, views=tuple(views))
 
@@ -35,10 +35,10 @@ def item_of(path):
 
 @pytest.mark.slow
 def test_the_item_has_what_stac_asks_for(urban_run, timed, tmp_path):
-    files = {name: urban_run.result[name] for name in ("output", "confidence", "ortho", "cloud")}
+    files = {name: getattr(urban_run.result, name) for name in ("output", "confidence", "ortho", "cloud")}
     for name, file in files.items():
         files[name] = shutil.copy(file, tmp_path / f"{name}{Path(file).suffix}")
-    gdal.Translate(str(files["ortho"]), urban_run.result["ortho"], widthPct=200, heightPct=200)  # finer than the DSM
+    gdal.Translate(str(files["ortho"]), urban_run.result.ortho, widthPct=200, heightPct=200)  # finer than the DSM
     products = {name: (name.title(), str(file)) for name, file in files.items()}
     products["mesh"] = ("Mesh", str(tmp_path / "not there.glb"))
     item = item_of(write_item(str(tmp_path / "sub.json"), timed, products))
@@ -82,14 +82,14 @@ def test_the_item_has_what_stac_asks_for(urban_run, timed, tmp_path):
 
 def test_one_time_is_the_items_time(urban_run, timed, tmp_path):
     scene = replace(timed, views=tuple(replace(view, acquired=TIMES[0]) for view in timed.views))
-    item = item_of(write_item(str(tmp_path / "a.json"), scene, {"output": ("DSM", urban_run.result["output"])}))
+    item = item_of(write_item(str(tmp_path / "a.json"), scene, {"output": ("DSM", urban_run.result.output)}))
     assert item["properties"]["datetime"] == TIMES[0]
-    assert os.path.samefile(tmp_path / item["assets"]["output"]["href"], urban_run.result["output"])
+    assert os.path.samefile(tmp_path / item["assets"]["output"]["href"], urban_run.result.output)
 
 
 def test_without_a_time_there_is_no_item_and_nothing_is_fused(urban_run, tmp_path, told):
     options = {
-        "scene": urban_run.result["scene"],
+        "scene": urban_run.result.scene,
         "output": str(tmp_path / "dsm.tif"),
         "stac": str(tmp_path / "d.json"),
     }
@@ -105,5 +105,5 @@ def test_fusion_writes_it_beside_the_dsm(urban_run, timed, tmp_path, told):
     timed.save(str(scene))
     options = {"scene": str(scene), "output": str(tmp_path / "town.tif"), "stac": str(tmp_path / "town.json")}
     made = run_stage("dsmfuse", {**options, "resolution": 2.0, "workers": 1}, told())
-    item = item_of(made["stac"])
+    item = item_of(made.stac)
     assert item["id"] == "town" and list(item["assets"]) == ["output"] and item["properties"]["gsd"] == 2.0

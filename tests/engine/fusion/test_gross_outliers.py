@@ -39,19 +39,17 @@ def spoilt(scene_path, folder):
 @pytest.mark.long
 def test_the_surface_stays(request, tmp_path, told, capsys, kind, pairs):
     run = request.getfixturevalue(f"{kind}_run")
-    scene = Scene.load(run.result["scene"])
+    scene = Scene.load(run.result.scene)
     if pairs == "one":
         scene = scene.with_tiles(lambda tile: replace(tile, heights=tile.heights[:1]))
     clean = scene.save(str(tmp_path / "clean.json"))
     found = []
     for path, name in ((clean, "clean"), (spoilt(clean, str(tmp_path)), "spoilt")):
         made = run_stage("dsmfuse", {"scene": path, "output": str(tmp_path / f"{name}.tif"), "resolution": 1.0}, told())
-        found.append(
-            run_stage("comparedsm", {"dsm": made["output"], "reference": run.scene.truth, "align": "3d"}, told())
-        )
+        found.append(run_stage("comparedsm", {"dsm": made.output, "reference": run.scene.truth, "align": "3d"}, told()))
     with capsys.disabled():
         print(
-            f"\n{kind}, {pairs}: RMSE {found[0]['rmse']:.3f} m clean, {found[1]['rmse']:.3f} m spoilt; valid "
-            f"{found[0]['valid']:.2f}, {found[1]['valid']:.2f} %"
+            f"\n{kind}, {pairs}: RMSE {found[0].rmse:.3f} m clean, {found[1].rmse:.3f} m spoilt; valid "
+            f"{found[0].valid:.2f}, {found[1].valid:.2f} %"
         )
-    assert found[1]["rmse"] < 1.1 * found[0]["rmse"] and found[1]["valid"] > found[0]["valid"] - 3
+    assert found[1].rmse < 1.1 * found[0].rmse and found[1].valid > found[0].valid - 3

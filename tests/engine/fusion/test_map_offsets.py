@@ -130,7 +130,7 @@ def _moved(scene, folder, pair, metres):
 
 
 def test_a_pair_that_is_too_high_is_brought_down(urban_run, tmp_path, told):
-    scene, said = Scene.load(urban_run.result["scene"]), told()
+    scene, said = Scene.load(urban_run.result.scene), told()
     pair = scene.tiles[0].heights[0].pair
     metres = 0.5 * scene.tiles[0].heights[0].metres_per_px
     found = [
@@ -155,7 +155,7 @@ def test_a_pair_that_is_too_high_is_brought_down(urban_run, tmp_path, told):
 
 
 def test_offsets_move_points_along_their_lines_of_sight(urban_run):
-    scene = Scene.load(urban_run.result["scene"])
+    scene = Scene.load(urban_run.result.scene)
     tile = scene.tiles[0]
     record = replace(tile.heights[0], offsets=((1.0, 2.0, 3.0), (3.0, 4.0, 5.0)))
     plain, moved = (
@@ -171,7 +171,7 @@ def test_offsets_move_points_along_their_lines_of_sight(urban_run):
 
 
 def test_records_refuse_offsets_that_are_no_lattice(urban_run):
-    record = Scene.load(urban_run.result["scene"]).tiles[0].heights[0]
+    record = Scene.load(urban_run.result.scene).tiles[0].heights[0]
     for offsets in ([[1.0, 2.0]], [[1.0], [2.0]], [[1.0, 2.0], [3.0]], [[1.0, 2.0], [3.0, "4"]]):
         with pytest.raises(ValueError, match="offsets"):
             record.from_mapping({**record.to_mapping(), "offsets": offsets})
@@ -179,7 +179,7 @@ def test_records_refuse_offsets_that_are_no_lattice(urban_run):
 
 def test_of_many_maps_each_is_compared_with_those_of_the_best_geometry(urban_run, told):
     """With one such map, its offset and that of each other still agree with what all comparisons give."""
-    scene = Scene.load(urban_run.result["scene"])
+    scene = Scene.load(urban_run.result.scene)
     few = replace(FUSION, offsets=replace(FUSION.offsets, compared=1))
     found = [with_agreeing_maps(scene, 1, 0, told(), fusion) for fusion in (FUSION, few)]
     for whole, part in zip(*(each.tiles for each in found)):

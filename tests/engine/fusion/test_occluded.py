@@ -85,7 +85,7 @@ def test_no_step_hides_nothing():
 def test_a_pairs_fills_are_right_on_a_truth_scene(urban_run, tmp_path, told, capsys):
     """Most of what is filled has the true surface's height. 98 % of the cells that both images see have a height, and
     seven eighths of those that one of them hides: long gaps over which disparities fall stay empty on purpose."""
-    town, scene = urban_run.scene, Scene.load(urban_run.result["scene"])
+    town, scene = urban_run.scene, Scene.load(urban_run.result.scene)
     scene = scene.with_tiles(lambda tile: replace(tile, heights=tile.heights[:1]))
     dsm, sure, error = (str(tmp_path / name) for name in ("dsm.tif", "confidence.tif", "error.tif"))
     run_stage(
@@ -99,8 +99,8 @@ def test_a_pairs_fills_are_right_on_a_truth_scene(urban_run, tmp_path, told, cap
     with opened(sure) as dataset:
         source, (x0, size, _, y0, _, _) = read(dataset, band=4), dataset.GetGeoTransform()
     rows, columns = np.indices(errors.shape)
-    c = np.floor((west + (columns + 0.5) * cell - found["dx"] - x0) / size).astype(int)
-    r = np.floor((y0 - north + (rows + 0.5) * cell + found["dy"]) / size).astype(int)
+    c = np.floor((west + (columns + 0.5) * cell - found.dx - x0) / size).astype(int)
+    r = np.floor((y0 - north + (rows + 0.5) * cell + found.dy) / size).astype(int)
     inside = (c >= 0) & (r >= 0) & (c < source.shape[1]) & (r < source.shape[0])
     filled = inside & (source[np.where(inside, r, 0), np.where(inside, c, 0)] == 1) & np.isfinite(errors)
     right = (np.abs(errors[filled]) < 2.5).mean()

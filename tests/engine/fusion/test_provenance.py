@@ -88,11 +88,11 @@ def test_what_no_map_has_is_known_less_well_and_least_beside_walls():
 @pytest.mark.parametrize("kind", ("urban", "mountains"))
 def test_about_two_thirds_of_heights_are_within_it(request, told, kind):
     run = request.getfixturevalue(f"{kind}_run")
-    shift = run_stage("comparedsm", {"dsm": run.result["output"], "reference": run.scene.truth, "align": "3d"}, told())
-    dataset = gdal.Open(run.result["output"])
+    shift = run_stage("comparedsm", {"dsm": run.result.output, "reference": run.scene.truth, "align": "3d"}, told())
+    dataset = gdal.Open(run.result.output)
     west, cell, _, north, _, _ = dataset.GetGeoTransform()
     height, (rows, columns) = dataset.ReadAsArray().astype(float), (dataset.RasterYSize, dataset.RasterXSize)
-    x, y = west + shift["dx"], north + shift["dy"]
+    x, y = west + shift.dx, north + shift.dy
     truth = gdal.Warp(
         "",
         run.scene.truth,
@@ -103,14 +103,14 @@ def test_about_two_thirds_of_heights_are_within_it(request, told, kind):
         resampleAlg="average",
         dstNodata=-9999,
     ).ReadAsArray()
-    expected = gdal.Open(run.result["confidence"]).ReadAsArray()[4]
+    expected = gdal.Open(run.result.confidence).ReadAsArray()[4]
     known = (height > -9000) & (truth != -9999) & (expected != -9999)
     assert known.sum() > 50000
-    error = np.abs(height + shift["dz"] - truth)[known]
+    error = np.abs(height + shift.dz - truth)[known]
     # Measured on scenes of other seeds: 67 % (make bench-confidence).
     assert 0.55 < (error <= expected[known]).mean() < 0.8
     # The LE90 beside it holds nine of ten: 91.5 % in the mountains, 87.8 % in the town, whose errors have longer tails.
-    nine = gdal.Open(run.result["confidence"]).ReadAsArray()[5]
+    nine = gdal.Open(run.result.confidence).ReadAsArray()[5]
     assert 0.85 < (error <= nine[known]).mean() < 0.95
     half = expected[known] > np.median(expected[known])
     assert np.median(error[half]) > 1.05 * np.median(error[~half])
@@ -121,7 +121,7 @@ def test_each_pair_has_its_own_surface_on_the_same_cells(urban_run, tmp_path, to
     fused = run_stage(
         "dsmfuse",
         {
-            "scene": urban_run.result["scene"],
+            "scene": urban_run.result.scene,
             "output": str(tmp_path / "dsm.tif"),
             "resolution": 0.5,
             "view_heights": str(tmp_path / "pairs"),
@@ -131,7 +131,7 @@ def test_each_pair_has_its_own_surface_on_the_same_cells(urban_run, tmp_path, to
     names = sorted(path.name for path in (tmp_path / "pairs").glob("*.tif"))
     assert names == sorted(
         f"img_0{a}_img_0{b}{end}.tif" for a, b in ((1, 2), (1, 3), (2, 3)) for end in ("", "_confidence")
-    ) and fused["view_heights"] == str(tmp_path / "pairs")
+    ) and fused.view_heights == str(tmp_path / "pairs")
     dsm = gdal.Open(str(tmp_path / "dsm.tif"))
     whole, frame = dsm.ReadAsArray(), dsm.GetGeoTransform()
     for name in names[::2]:
@@ -164,7 +164,7 @@ def test_a_worker_that_dies_is_no_pair_without_heights(urban_run, tmp_path, told
                 os.kill(killed[0], getattr(signal, name))
 
     said = Deadly()
-    options = {"scene": urban_run.result["scene"], "output": str(tmp_path / "dsm.tif"), "workers": 2, "resolution": 1.0}
+    options = {"scene": urban_run.result.scene, "output": str(tmp_path / "dsm.tif"), "workers": 2, "resolution": 1.0}
     with pytest.raises((WorkerError, OutOfMemoryError), match=name):
         run_stage("dsmfuse", {**options, "view_heights": str(pairs)}, said)
     assert killed and not said.warnings

@@ -80,7 +80,7 @@ def test_a_dsm_is_not_compared(tmp_path, systems):
 
 def test_a_terrain_needs_no_place_on_the_earth(tmp_path):
     made = run_stage("dtm", {"dsm": raster(tmp_path / "a.tif"), "output": str(tmp_path / "t.tif")}, Silent())
-    assert gdal.Open(made["output"]).GetSpatialRef().GetName() == "site of works"
+    assert gdal.Open(made.output).GetSpatialRef().GetName() == "site of works"
 
 
 def test_a_mosaic_refuses_one(tmp_path):

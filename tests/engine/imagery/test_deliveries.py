@@ -313,7 +313,7 @@ def test_one_folder_is_enough_for_the_stages(urban, tmp_path, told):
     assert any("stands for 2 images" in note for note in said.notes)
     page = str(tmp_path / "inspect.html")
     made = run_stage("inspect", {"images": [str(tmp_path / "order")], "report": page}, told())
-    assert (made["n_images"], made["n_pairs"]) == (2, 1)
+    assert (made.n_images, made.n_pairs) == (2, 1)
 
 
 def test_lists_beside_a_folder_cannot_be_in_its_order(urban, tmp_path, told):

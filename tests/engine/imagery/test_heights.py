@@ -70,9 +70,9 @@ def test_heights_are_metres(tmp_path, surface, kind):
 def test_a_comparison_and_a_terrain_model_are_of_metres(tmp_path, surface, told, kind):
     truth, dsm = written(tmp_path / "truth.tif", surface), written(tmp_path / "dsm.tif", surface + 2.0, kind)
     found = run_stage("comparedsm", {"dsm": dsm, "reference": truth, "align": "none"}, told())
-    assert found["bias"] == pytest.approx(2.0, abs=0.02) and found["nmad"] < 0.1
+    assert found.bias == pytest.approx(2.0, abs=0.02) and found.nmad < 0.1
     found = run_stage("comparedsm", {"dsm": truth, "reference": dsm, "align": "none"}, told())
-    assert found["bias"] == pytest.approx(-2.0, abs=0.02)
+    assert found.bias == pytest.approx(-2.0, abs=0.02)
     gentle = 640.0 + (surface - 640.0) / 12.0  # of which all is ground
     dsm = written(tmp_path / "gentle.tif", gentle, kind)
     run_stage("dtm", {"dsm": dsm, "output": str(tmp_path / "dtm.tif"), "workers": 1}, told())
@@ -124,9 +124,9 @@ def test_whole_numbers_with_a_nodata_value_may_lie_below_zero(tmp_path, told):
     low, high, _ = dem_range(paths[0], "EPSG:32631", (500_050, 3_999_850, 500_150, 3_999_950))
     assert (low, high) == (-60.0, 39.0)
     compared = run_stage("comparedsm", {"dsm": paths[0], "reference": paths[1], "align": "none"}, told())
-    assert compared["rmse"] == pytest.approx(1.0, abs=1e-6)
+    assert compared.rmse == pytest.approx(1.0, abs=1e-6)
     made = run_stage("mosaic", {"dsms": paths, "output": str(tmp_path / "m.tif")}, told())
-    assert [each["added"] for each in made["offsets"]] == pytest.approx([-0.5, 0.5], abs=1e-3)
+    assert [each["added"] for each in made.offsets] == pytest.approx([-0.5, 0.5], abs=1e-3)
 
 
 @pytest.mark.parametrize(

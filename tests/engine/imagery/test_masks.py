@@ -120,9 +120,9 @@ def test_masked_pixels_give_no_ties_and_no_heights(urban, tmp_path, told):
         },
         told(),
     )
-    scene = Scene.load(made["scene"])
+    scene = Scene.load(made.scene)
     assert [bool(view.mask) for view in scene.views] == [True, False]
-    dataset = gdal.Open(made["output"])
+    dataset = gdal.Open(made.output)
     dsm, (west, cell, _, north, _, _) = dataset.ReadAsArray().astype(np.float64), dataset.GetGeoTransform()
     dataset = None
     rows, columns = np.indices(dsm.shape)

@@ -158,9 +158,9 @@ def test_lakes_of_a_simulated_scene_end_as_nodata(tmp_path, pipeline):
         cloud=None,
         water_mask=mask,
     )
-    options = {"scene": run.result["scene"], "output": flat, "confidence": str(tmp_path / "sources.tif")}
+    options = {"scene": run.result.scene, "output": flat, "confidence": str(tmp_path / "sources.tif")}
     flattened = run_stage("dsmfuse", {**options, "resolution": 0.5, "workers": 1, "water": "flatten"}, Silent())
-    dataset = gdal.Open(run.result["output"])
+    dataset = gdal.Open(run.result.output)
     dsm, place = dataset.ReadAsArray(), dataset.GetGeoTransform()
     water, level, sources = (gdal.Open(path).ReadAsArray() for path in (mask, flat, options["confidence"]))
     dataset = gdal.Open(made.truth)
@@ -179,4 +179,4 @@ def test_lakes_of_a_simulated_scene_end_as_nodata(tmp_path, pipeline):
         assert (water[lake] == 1).mean() > 0.95 and len(np.unique(level[lake & (water == 1)])) == 1
         assert (source[lake & (water == 1)] == Provenance.WATER).all()
     assert (water[made.classes == LAND] == 1).mean() < 0.01
-    assert flattened["water"] == run.result["water"] == 2 and flattened["water_m2"] > 5000
+    assert flattened.water == run.result.water == 2 and flattened.water_m2 > 5000

@@ -101,10 +101,10 @@ def made(four, tmp_path_factory, told):
 
 def test_offsets_are_solved_and_seams_are_below_a_decimetre(made):
     result, said = made
-    added, deviation = ([each[name] for each in result["offsets"]] for name in ("added", "deviation"))
+    added, deviation = ([each[name] for each in result.offsets] for name in ("added", "deviation"))
     assert added == pytest.approx(ADDED, abs=0.01) and 0 < max(deviation) < 0.02
-    assert (result["groups"], result["overlaps"]) == (1, 6) and result["seam"] < 0.1
-    heights, source = read(result["output"]), read(result["sources"])
+    assert (result.groups, result.overlaps) == (1, 6) and result.seam < 0.1
+    heights, source = read(result.output), read(result.sources)
     rows, columns = np.indices(heights.shape) + 0.5
     error = heights - ground(WEST + columns, NORTH - rows)
     assert np.nanmax(np.abs(error)) < 0.6  # a roof that was averaged with the ground would be 4 m wrong
@@ -117,16 +117,16 @@ def test_offsets_are_solved_and_seams_are_below_a_decimetre(made):
 
 def test_products_say_where_heights_come_from(made, four):
     result, _ = made
-    heights = read(result["output"])
-    number, count, spread = (read(result["sources"], band) for band in (1, 2, 3))
-    with raster.opened(result["output"]) as dataset:
+    heights = read(result.output)
+    number, count, spread = (read(result.sources, band) for band in (1, 2, 3))
+    with raster.opened(result.output) as dataset:
         assert dataset.GetMetadataItem(TAG) == ELLIPSOID and dataset.GetRasterBand(1).GetUnitType() == "m"
         assert dataset.GetMetadata("IMAGE_STRUCTURE")["LAYOUT"] == "COG"
         assert dataset.GetGeoTransform() == (WEST, 1.0, 0.0, NORTH, 0.0, -1.0)
-    with raster.opened(result["sources"]) as dataset:
+    with raster.opened(result.sources) as dataset:
         assert [dataset.GetMetadataItem(f"DSM_{i + 1}") for i in range(4)] == four
     # Where one DSM alone has heights, the mosaic has these and its offset, to the digit.
-    own = read(four[0]) + np.float32(result["offsets"][0]["added"])
+    own = read(four[0]) + np.float32(result.offsets[0]["added"])
     alone = (count == 1)[:100, :100]
     assert alone.sum() > 8000 and (number[:100, :100][alone] == 1).all()
     assert heights[:100, :100][alone] == pytest.approx(own[:100, :100][alone], abs=1e-4)
@@ -134,7 +134,7 @@ def test_products_say_where_heights_come_from(made, four):
     assert (np.isnan(heights) == np.isnan(number)).all() and np.isnan(
         heights
     ).sum() == 20 * 25  # two holes that no other DSM sees
-    page = open(result["report"], encoding="utf-8").read()
+    page = open(result.report, encoding="utf-8").read()
     top = page[: page.index("<img")]
     assert "<strong>Good.</strong> After the offsets, the median differences" in " ".join(top.split())
     assert page.count("data:image/png") == 2 and all(path in page for path in four) and "+2.499" in page
@@ -144,7 +144,7 @@ def test_products_say_where_heights_come_from(made, four):
 @pytest.mark.long
 def test_fixed_dsms_keep_their_heights(four, tmp_path, told):
     said = told()
-    found = mosaic(told, tmp_path, four, said, fixed=[four[1]])["offsets"]
+    found = mosaic(told, tmp_path, four, said, fixed=[four[1]]).offsets
     assert found[1]["added"] == 0 and found[1]["deviation"] == 0
     assert [each["added"] for each in found] == pytest.approx(np.array(ADDED) - ADDED[1], abs=0.01)
     assert any("its heights are fixed" in text for text in said.notes)
@@ -159,19 +159,19 @@ def test_dsms_that_were_registered_are_fixed_by_themselves(four, tmp_path, told)
         dataset = gdal.Open(placed, gdal.GA_Update)
         dataset.SetMetadataItem(PLACED_TAG, text)
         dataset = None
-        found = mosaic(told, tmp_path, [four[0], placed, *four[2:]])["offsets"]
+        found = mosaic(told, tmp_path, [four[0], placed, *four[2:]]).offsets
         assert found[1]["added"] == pytest.approx(first, abs=0.01)
 
 
 @pytest.mark.long
 def test_neither_blocks_nor_workers_change_the_result(four, made, tmp_path, told):
     parts = mosaic(told, tmp_path, four, parameters=SMALL, workers=2)
-    one, other = read(parts["output"]), read(made[0]["output"])
+    one, other = read(parts.output), read(made[0].output)
     assert (np.isnan(one) == np.isnan(other)).all()
     # Rounding decides for a house that both DSMs have an equal share of: these lie symmetrically.
     assert (np.abs(one - other)[np.isfinite(one)] < 1e-3).mean() > 0.999
     again = mosaic(told, tmp_path, four, parameters=SMALL, workers=1, output=str(tmp_path / "again.tif"))
-    assert open(again["output"], "rb").read() == open(parts["output"], "rb").read()
+    assert open(again.output, "rb").read() == open(parts.output, "rb").read()
 
 
 def test_dsms_of_other_crs_and_cells_are_not_shifted(tmp_path, told):
@@ -183,21 +183,21 @@ def test_dsms_of_other_crs_and_cells_are_not_shifted(tmp_path, told):
     first = write(tmp_path / "a.tif", (0, 0), 150, plane)
     second = write(tmp_path / "b.tif", (90, 20), 80, plane, UTM32, cell=2.0)
     result = mosaic(told, tmp_path, [first, second], sources=str(tmp_path / "s.tif"))
-    assert [each["added"] for each in result["offsets"]] == pytest.approx([0, 0], abs=0.01)
-    heights = read(result["output"])
-    with raster.opened(result["output"]) as dataset:
+    assert [each["added"] for each in result.offsets] == pytest.approx([0, 0], abs=0.01)
+    heights = read(result.output)
+    with raster.opened(result.output) as dataset:
         x0, cell, _, y0, _, _ = dataset.GetGeoTransform()
     dataset = None  # else the file is in use, and Windows does not let it be replaced
     rows, columns = np.indices(heights.shape) + 0.5
     error = heights - plane(x0 + columns * cell, y0 - rows * cell)
     # In the outer half of its border cells a DSM has no slope.
     assert np.nanpercentile(np.abs(error), 97) < 0.02 and np.nanmax(np.abs(error)) < 0.15 and cell == 1.0
-    assert (read(result["sources"]) == 2).sum() > 10_000
+    assert (read(result.sources) == 2).sum() > 10_000
     coarse = mosaic(told, tmp_path, [first, second], resolution=3.0, crs=UTM32)
-    with raster.opened(coarse["output"]) as dataset:
+    with raster.opened(coarse.output) as dataset:
         x0, cell, _, y0, _, _ = dataset.GetGeoTransform()
         assert cell == 3.0 and pyproj.CRS.from_wkt(dataset.GetProjection()).to_epsg() == 32632
-    heights = read(coarse["output"])
+    heights = read(coarse.output)
     rows, columns = np.indices(heights.shape) + 0.5
     x, y = pyproj.Transformer.from_crs(UTM32, UTM31, always_xy=True).transform(x0 + columns * 3, y0 - rows * 3)
     assert np.nanpercentile(np.abs(heights - plane(x, y)), 95) < 0.02
@@ -216,7 +216,7 @@ def test_confidences_give_cells_to_the_better_dsm(four, tmp_path, told):
     for label, confidences in (("equal", ()), ("given", (good, bad, "", ""))):
         out = str(tmp_path / f"{label}.tif")
         result = mosaic(told, tmp_path, four, sources=out, confidences=confidences)
-        shares[label] = [int((read(result["sources"]) == number).sum()) for number in (1, 2)]
+        shares[label] = [int((read(result.sources) == number).sum()) for number in (1, 2)]
     assert shares["given"][0] > 1.1 * shares["equal"][0] and shares["given"][1] < 0.9 * shares["equal"][1]
     several = raster.write(str(tmp_path / "several.tif"), bands[:2], place, crs)
     with pytest.raises(ImageError, match=r"several\.tif' of CONFIDENCES has 2 bands, and none is called 'expected er"):
@@ -227,15 +227,15 @@ def test_groups_that_do_not_overlap_are_named(four, tmp_path, told):
     far = [write(tmp_path / f"far_{i}.tif", (600 + 40 * i, 0), 100) for i in range(2)]
     said = told()
     result = mosaic(told, tmp_path, [*four, *far], said)
-    assert result["groups"] == 2 and "far_0.tif, far_1.tif)" in said.warnings[0]
-    with raster.opened(result["output"]) as dataset:
+    assert result.groups == 2 and "far_0.tif, far_1.tif)" in said.warnings[0]
+    with raster.opened(result.output) as dataset:
         assert dataset.RasterXSize == 740
 
 
 def test_vertical_datums_must_agree(four, tmp_path, told):
     silent = write(tmp_path / "silent.tif", (0, 0), 100, tags={})
     said = told()
-    assert mosaic(told, tmp_path, [four[0], silent], said)["vertical_datum"] == ELLIPSOID
+    assert mosaic(told, tmp_path, [four[0], silent], said).vertical_datum == ELLIPSOID
     assert said.warnings == [
         f"'{silent}' does not state a vertical datum: all heights are assumed to refer to {ELLIPSOID}."
     ]
@@ -245,7 +245,7 @@ def test_vertical_datums_must_agree(four, tmp_path, told):
     assert geoid in str(caught.value) and "EGM96" in str(caught.value)
     other = write(tmp_path / "other.tif", (50, 0), 100, tags={}, vertical=5773)
     both = mosaic(told, tmp_path, [geoid, other])
-    with raster.opened(both["output"]) as dataset:
+    with raster.opened(both.output) as dataset:
         assert "EGM96" in dataset.GetMetadataItem(TAG) and pyproj.CRS.from_wkt(dataset.GetProjection()).is_compound
 
 
@@ -297,7 +297,7 @@ def test_bad_input_is_one_sentence_and_nothing_is_left(four, tmp_path, told):
 @pytest.mark.long
 def test_cancel_leaves_what_the_next_run_takes(four, tmp_path, told):
     counting = told()
-    path = Path(mosaic(told, tmp_path, four, counting, parameters=SMALL)["output"])
+    path = Path(mosaic(told, tmp_path, four, counting, parameters=SMALL).output)
     whole, before = path.read_bytes(), set(tmp_path.iterdir())
     kept = tmp_path / "mosaic_blocks"
     for share in (0.01, 0.3, 0.6, 0.97):
@@ -332,7 +332,7 @@ def test_a_killed_run_is_continued_and_damaged_blocks_are_made_again(four, tmp_p
         result = mosaic(told, tmp_path, four, said, output=str(tmp_path / "copy.tif"))
         assert any("Reused 1 of 1 block " in text for text in said.notes) == reused
         fresh = mosaic(told, tmp_path, four, output=str(tmp_path / "fresh.tif"))
-        assert Path(result["output"]).read_bytes() == Path(fresh["output"]).read_bytes()
+        assert Path(result.output).read_bytes() == Path(fresh.output).read_bytes()
         assert not (tmp_path / "copy_blocks").exists()
 
 
@@ -363,7 +363,7 @@ def test_a_vrt_shows_what_the_geotiff_has_also_where_both_were_moved(both, tmp_p
     assert {path.name for path in vrt.iterdir()} == {
         f"{name}{kind}" for name in ("output", "sources") for kind in (".vrt", ".qml", "_tiles")
     }
-    assert result["output"] == str(vrt / "output.vrt")
+    assert result.output == str(vrt / "output.vrt")
     shutil.move(shutil.copytree(vrt, tmp_path / "copied"), tmp_path / "moved")
     for name, bands in (("output", 1), ("sources", 3)):
         with (
@@ -529,7 +529,7 @@ def test_what_is_known_worse_is_moved_more(tmp_path, told):
     )
     said = told()
     result = run_stage("mosaic", {"dsms": [good, poor], "output": str(tmp_path / "m.tif")}, said)
-    added = [each["added"] for each in result["offsets"]]
+    added = [each["added"] for each in result.offsets]
     assert added == pytest.approx([5.0 / 101, -500.0 / 101], abs=0.01)
     assert not said.warnings and any("each weighted by its stated uncertainty" in text for text in said.notes)
 

@@ -51,12 +51,12 @@ def test_scenes_give_the_bytes_of_dsms_that_were_fused_by_hand(scenes, fused, tm
     (first, second), higher = fused
     said = told()
     made = run(told, tmp_path, said, dsms=[higher], scenes=scenes, report=str(tmp_path / "report.html"))
-    data = Path(made["output"]).read_bytes()
+    data = Path(made.output).read_bytes()
     by_hand = {"dsms": [higher, first[0], second[0]], "confidences": ["", first[1], second[1]]}
-    assert data == Path(run(told, tmp_path, **by_hand)["output"]).read_bytes()
+    assert data == Path(run(told, tmp_path, **by_hand).output).read_bytes()
     # The second DSM says itself that ground control points have placed it, so it is fixed too.
-    assert [each["dsm"] for each in made["offsets"]] == [higher, *scenes]
-    assert [each["added"] for each in made["offsets"]] == pytest.approx([-2.5, 0, 0], abs=0.01)
+    assert [each["dsm"] for each in made.offsets] == [higher, *scenes]
+    assert [each["added"] for each in made.offsets] == pytest.approx([-2.5, 0, 0], abs=0.01)
     words = f"'{scenes[1]}': its heights are fixed (ground control points), 2 overlaps."
     assert words in said.notes and not any("mean of all offsets" in text for text in said.notes)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -69,7 +69,7 @@ def test_scenes_give_the_bytes_of_dsms_that_were_fused_by_hand(scenes, fused, tm
 def test_scenes_alone_have_the_cells_of_the_first_and_may_be_fixed_by_name(scenes, tmp_path, told):
     said = told()
     made = run(told, tmp_path, said, scenes=scenes, resolution=2.0, fixed=[scenes[0]])
-    with raster.opened(made["output"]) as dataset:
+    with raster.opened(made.output) as dataset:
         assert dataset.GetGeoTransform()[1] == 2.0
         assert dataset.GetSpatialRef().GetAuthorityCode(None) == Scene.load(scenes[0]).crs.split(":")[1]
     assert any(f"'{scenes[0]}': its heights are fixed (named in FIXED)" in text for text in said.notes)
@@ -87,9 +87,9 @@ def test_a_stopped_run_keeps_the_scenes_that_are_fused(scenes, tmp_path, told):
     with pytest.raises(Cancelled):
         run(told, tmp_path, Stop(), scenes=scenes, resolution=2.0)
     said = told()
-    data = Path(run(told, tmp_path, said, scenes=scenes, resolution=2.0)["output"]).read_bytes()
+    data = Path(run(told, tmp_path, said, scenes=scenes, resolution=2.0).output).read_bytes()
     assert sum(text.startswith("Reused the DSM of") for text in said.notes) == 2
-    assert data == Path(run(told, tmp_path, scenes=scenes, resolution=2.0)["output"]).read_bytes()
+    assert data == Path(run(told, tmp_path, scenes=scenes, resolution=2.0).output).read_bytes()
 
 
 def test_what_is_wrong_with_scenes_is_said_before_any_is_fused(scenes, fused, urban_run, tmp_path, told):

@@ -165,11 +165,11 @@ def test_weights_and_shift_are_measured(town):
 def test_pansharpening_keeps_the_mean_and_finds_the_true_colours(town, sharp, tmp_path, told):
     result, said = sharp
     plain, _ = fused(town, tmp_path, told, colour="all", pansharpen=False)
-    fine, coarse = (pixels(each["ortho"]).astype(float) for each in (result, plain))
+    fine, coarse = (pixels(each.ortho).astype(float) for each in (result, plain))
     both = (fine.min(axis=0) > 0) & (coarse.min(axis=0) > 0)
     ratio = fine[:, both].mean(axis=1) / coarse[:, both].mean(axis=1)
     assert np.abs(ratio - 1).max() < 0.02
-    truth = gdal.Warp("", town["truth"], format="MEM", outputBounds=bounds(result["ortho"]), xRes=0.5, yRes=0.5)
+    truth = gdal.Warp("", town["truth"], format="MEM", outputBounds=bounds(result.ortho), xRes=0.5, yRes=0.5)
     known = truth.ReadAsArray()
     errors = [float(np.median(np.abs(each - known)[:, both])) for each in (fine, coarse)]
     assert errors[0] < 0.75 * errors[1]
@@ -183,7 +183,7 @@ def bounds(path):
 
 
 def test_sixteen_bits_stay_and_bands_say_what_they_are(sharp):
-    dataset, dsm = gdal.Open(sharp[0]["ortho"]), gdal.Open(sharp[0]["output"])
+    dataset, dsm = gdal.Open(sharp[0].ortho), gdal.Open(sharp[0].output)
     assert dataset.GetGeoTransform() == dsm.GetGeoTransform() and dataset.RasterXSize == dsm.RasterXSize
     bands = [dataset.GetRasterBand(band) for band in (1, 2, 3, 4)]
     assert [band.GetDescription() for band in bands] == list(WEIGHTS)
@@ -194,7 +194,7 @@ def test_sixteen_bits_stay_and_bands_say_what_they_are(sharp):
     nothing = (values == 0).any(axis=0)
     assert (nothing == (values == 0).all(axis=0)).all()
     assert nothing[dsm.ReadAsArray() == -9999].all()
-    style = Path(sharp[0]["ortho"]).with_suffix(".qml").read_text()
+    style = Path(sharp[0].ortho).with_suffix(".qml").read_text()
     assert 'type="multibandcolor" redBand="1"' in style and "@" not in style
 
 
@@ -206,9 +206,9 @@ def test_the_number_of_workers_and_who_else_runs_change_no_byte(town, sharp, tmp
     for workers in (1, 3):
         folder = tmp_path / str(workers)
         folder.mkdir()
-        found.append(Path(fused(town, folder, told, small, workers=workers, colour="all")[0]["ortho"]).read_bytes())
+        found.append(Path(fused(town, folder, told, small, workers=workers, colour="all")[0].ortho).read_bytes())
     assert found[0] == found[1]
-    blocks, whole = pixels(str(tmp_path / "3" / "ortho.tif")).astype(int), pixels(sharp[0]["ortho"]).astype(int)
+    blocks, whole = pixels(str(tmp_path / "3" / "ortho.tif")).astype(int), pixels(sharp[0].ortho).astype(int)
     assert ((blocks == 0) == (whole == 0)).mean() > 0.999
     assert (np.abs(blocks - whole).max(axis=0) <= 2).mean() > 0.95  # seams need not be the same
 
@@ -221,7 +221,7 @@ def test_what_a_tower_hides_is_nodata_or_from_another_view(town, sharp, tmp_path
     from repm_qgis.ortho.seen_surface import SeenSurface
 
     scene = Scene.load(town["scene"])
-    dsm = FinishedSurface.of(sharp[0]["output"], scene.crs, HeightDatum.of(""))
+    dsm = FinishedSurface.of(sharp[0].output, scene.crs, HeightDatum.of(""))
     whole = Window(0, 0, *dsm.grid.size)
     part = Window(dsm.grid.size[0] // 3, dsm.grid.size[1] // 3, 60, 60)
     view, surface = scene.views[0], SeenSurface.of(dsm, scene.views, ENGINE.ortho)
@@ -231,32 +231,32 @@ def test_what_a_tower_hides_is_nodata_or_from_another_view(town, sharp, tmp_path
     assert (seen[rows, columns] == inner).mean() > 0.99  # what lies outside the window hides cells, too
     hidden = np.isfinite(dsm.heights(whole)) & ~seen
     assert hidden.mean() > 0.005
-    assert (pixels(sharp[0]["ortho"])[0][hidden] > 0).mean() > 0.5
+    assert (pixels(sharp[0].ortho)[0][hidden] > 0).mean() > 0.5
 
 
 def test_clouds_and_meshes_have_the_colours(sharp):
     import laspy
 
     result, _ = sharp
-    cloud = laspy.read(result["cloud"])
+    cloud = laspy.read(result.cloud)
     assert cloud.header.point_format.id == 7
-    x, cell, _, y, _, down = gdal.Open(result["ortho"]).GetGeoTransform()
+    x, cell, _, y, _, down = gdal.Open(result.ortho).GetGeoTransform()
     column, row = ((cloud.x - x) // cell).astype(int), ((cloud.y - y) // down).astype(int)
-    values = pixels(result["ortho"])[0][row, column].astype(float)
+    values = pixels(result.ortho)[0][row, column].astype(float)
     shown = values > 0
     low, high = np.percentile(values[shown], (10, 90))
     middle = shown & (values > low) & (values < high)
     assert np.corrcoef(values[middle], np.asarray(cloud.red)[middle])[0, 1] > 0.999
-    schema = {each["name"]: each for each in json.loads((Path(result["ept"]) / "ept.json").read_text())["schema"]}
+    schema = {each["name"]: each for each in json.loads((Path(result.ept) / "ept.json").read_text())["schema"]}
     assert schema["Red"]["size"] == 2 and schema["Red"]["maximum"] == float(np.max(cloud.red))
     assert schema["Blue"]["count"] == len(cloud.x)
-    assert '<renderer type="rgb"' in (Path(result["ept"]) / "ept.qml").read_text()
-    header, _, rest = Path(result["mesh"]).read_bytes().partition(b"end_header\n")
+    assert '<renderer type="rgb"' in (Path(result.ept) / "ept.qml").read_text()
+    header, _, rest = Path(result.mesh).read_bytes().partition(b"end_header\n")
     vertices = int(header.split(b"element vertex ")[1].split()[0])
     assert b"property uchar red\nproperty uchar green\nproperty uchar blue\n" in header
     record = np.frombuffer(rest, [("place", "<f8", 3), ("colour", "u1", 3)], vertices)
     column, row = ((record["place"][:, i] - start) // step for i, start, step in ((0, x, cell), (1, y, down)))
-    values = pixels(result["ortho"])[0][row.astype(int), column.astype(int)].astype(float)
+    values = pixels(result.ortho)[0][row.astype(int), column.astype(int)].astype(float)
     middle = (values > low) & (values < high)
     assert np.corrcoef(values[middle], record["colour"][middle, 0])[0, 1] > 0.999
 
@@ -266,9 +266,9 @@ def test_greys_are_what_they_were(town, tmp_path, told):
     import laspy
 
     result, said = fused(town, tmp_path, told, xs=[], cloud=str(tmp_path / "c.laz"))
-    dataset = gdal.Open(result["ortho"])
+    dataset = gdal.Open(result.ortho)
     assert dataset.RasterCount == 1 and dataset.GetRasterBand(1).DataType == gdal.GDT_Float32
-    assert laspy.read(result["cloud"]).header.point_format.id == 6
+    assert laspy.read(result.cloud).header.point_format.id == 6
     assert not any("Colours" in text for text in said.notes)
 
 
@@ -278,7 +278,7 @@ def test_greys_are_what_they_were(town, tmp_path, told):
 @pytest.mark.long
 def test_xs_are_paired_in_any_order(town, sharp, tmp_path, told):
     result, _ = fused(town, tmp_path, told, xs=town["xs"][::-1], colour="all")
-    assert Path(result["ortho"]).read_bytes() == Path(sharp[0]["ortho"]).read_bytes()
+    assert Path(result.ortho).read_bytes() == Path(sharp[0].ortho).read_bytes()
 
 
 @pytest.mark.long
@@ -329,7 +329,7 @@ def test_an_xs_that_lies_beside_its_image_is_used_and_not_overwritten(town, tmp_
         result, said = fused(town, tmp_path, told, xs=[])
     finally:
         beside.unlink()
-    assert gdal.Open(result["ortho"]).RasterCount == 3
+    assert gdal.Open(result.ortho).RasterCount == 3
     assert any("Colours of 'img_01' from" in text for text in said.notes)
 
 

@@ -22,7 +22,7 @@ from tests.engine.rasters import bands
 @pytest.fixture
 def painted(urban_run, tmp_path, told):
     """A function that makes the orthophoto of a DSM: its values, NaN where there are none, and the surface."""
-    scene = Scene.load(urban_run.result["scene"])
+    scene = Scene.load(urban_run.result.scene)
 
     def made(dsm, workers=1, parameters=ORTHO):
         surface, path = FinishedSurface.of(dsm, scene.crs, HeightDatum.of("")), str(tmp_path / "ortho.tif")
@@ -65,7 +65,7 @@ def test_what_changed_in_the_dsm_changes_the_orthophoto(urban_run, painted, mend
     dsm, tower = mended
     before, _ = painted(urban_run.options["output"])
     found, surface = painted(dsm)
-    scene = Scene.load(urban_run.result["scene"])
+    scene = Scene.load(urban_run.result.scene)
     grid = surface.grid
     whole = orthophoto(nadir_first(scene), grid, surface.heights(Window(0, 0, *grid.size)), scene.crs)
     np.testing.assert_allclose(found[tower], whole[tower], atol=2.0)

@@ -169,7 +169,7 @@ def pixels(path):
 @pytest.mark.slow
 @pytest.mark.long
 def test_by_default_it_has_the_finest_images_ground_sampling_distance(town):
-    fine, coarse = (gdal.Open(town["made"][cell]["ortho"]) for cell in (0.0, 1.0))
+    fine, coarse = (gdal.Open(town["made"][cell].ortho) for cell in (0.0, 1.0))
     assert fine.GetGeoTransform()[1] == 0.5 and coarse.GetGeoTransform()[1] == 1.0
     assert (fine.RasterXSize, fine.RasterYSize) == (2 * coarse.RasterXSize, 2 * coarse.RasterYSize)
     assert fine.GetGeoTransform()[0] == coarse.GetGeoTransform()[0]
@@ -180,7 +180,7 @@ def test_by_default_it_has_the_finest_images_ground_sampling_distance(town):
 def test_it_shows_the_true_detail_that_the_cells_of_the_dsm_do_not(town):
     """Structures of a few pixels, of both against the true ground in cells of 0.5 m, on which GDAL interpolates the
     coarser one. The scene has no control points: its place, that of the RPCs, is looked for."""
-    paths = [town["made"][cell]["ortho"] for cell in (0.0, 1.0)]
+    paths = [town["made"][cell].ortho for cell in (0.0, 1.0)]
     dataset = gdal.Open(paths[0])
     x, cell, _, y, _, down = dataset.GetGeoTransform()
     ends = np.array((x, y + down * dataset.RasterYSize, x + cell * dataset.RasterXSize, y))
@@ -205,7 +205,7 @@ def _detail(image):
 
 
 def test_it_is_as_complete_as_on_the_cells_of_the_dsm(town):
-    fine, coarse = (pixels(town["made"][cell]["ortho"])[0] > 0 for cell in (0.0, 1.0))
+    fine, coarse = (pixels(town["made"][cell].ortho)[0] > 0 for cell in (0.0, 1.0))
     apart = fine != coarse.repeat(2, axis=0).repeat(2, axis=1)
     assert apart.mean() < 0.02 and fine.mean() > coarse.mean() - 0.01
 
@@ -217,8 +217,8 @@ def test_workers_change_no_byte_of_its_colours(town, tmp_path, told):
     for workers in (1, 3):
         (tmp_path / str(workers)).mkdir()
         found.append(fuse(town["scene"], tmp_path / str(workers), told, small, workers=workers, xs=town["xs"]))
-    assert Path(found[0]["ortho"]).read_bytes() == Path(found[1]["ortho"]).read_bytes()
-    blocks, whole = (pixels(path) for path in (found[0]["ortho"], town["made"][0.0]["ortho"]))
+    assert Path(found[0].ortho).read_bytes() == Path(found[1].ortho).read_bytes()
+    blocks, whole = (pixels(path) for path in (found[0].ortho, town["made"][0.0].ortho))
     assert ((blocks == 0) == (whole == 0)).mean() > 0.99
 
 
@@ -227,19 +227,19 @@ def test_what_is_painted_with_it_has_the_colours_of_its_place(town):
     import laspy
 
     made = town["made"][0.0]
-    data = Path(made["mesh"]).read_bytes()
+    data = Path(made.mesh).read_bytes()
     length = int.from_bytes(data[12:16], "little")
     document = json.loads(data[20 : 20 + length])
     view = document["bufferViews"][document["images"][0]["bufferView"]]
-    picture = Path(made["mesh"]).with_suffix(".jpg")
+    picture = Path(made.mesh).with_suffix(".jpg")
     start = 20 + length + 8 + view.get("byteOffset", 0)
     picture.write_bytes(data[start : start + view["byteLength"]])
-    shown, ortho = gdal.Open(str(picture)), gdal.Open(made["ortho"])
+    shown, ortho = gdal.Open(str(picture)), gdal.Open(made.ortho)
     assert (shown.RasterXSize, shown.RasterYSize) == (ortho.RasterXSize, ortho.RasterYSize)
-    cloud = laspy.read(made["cloud"])
+    cloud = laspy.read(made.cloud)
     x, cell, _, y, _, down = ortho.GetGeoTransform()
     column, row = ((cloud.x - x) // cell).astype(int), ((cloud.y - y) // down).astype(int)
-    values = pixels(made["ortho"])[0][row, column]
+    values = pixels(made.ortho)[0][row, column]
     low, high = np.percentile(values[values > 0], (10, 90))
     middle = (values > low) & (values < high)
     assert np.corrcoef(values[middle], np.asarray(cloud.red)[middle])[0, 1] > 0.999
@@ -250,13 +250,13 @@ def test_vertices_take_the_mean_of_their_cell(town, tmp_path):
     from repm_qgis.solids.mesh import write_mesh
 
     made = town["made"][0.0]
-    write_mesh(made["output"], str(tmp_path / "m.ply"), ortho=made["ortho"])
+    write_mesh(made.output, str(tmp_path / "m.ply"), ortho=made.ortho)
     header, _, rest = (tmp_path / "m.ply").read_bytes().partition(b"end_header\n")
     vertices = int(header.split(b"element vertex ")[1].split()[0])
     record = np.frombuffer(rest, [("place", "<f8", 3), ("colour", "u1", 3)], vertices)
-    x, cell, _, y, _, down = gdal.Open(made["output"]).GetGeoTransform()
+    x, cell, _, y, _, down = gdal.Open(made.output).GetGeoTransform()
     column, row = ((record["place"][:, i] - start) // step for i, start, step in ((0, x, cell), (1, y, down)))
-    fine = pixels(made["ortho"])[0]
+    fine = pixels(made.ortho)[0]
     parts = np.where(fine > 0, fine, np.nan).reshape(fine.shape[0] // 2, 2, fine.shape[1] // 2, 2)
     means = parts.mean(axis=(1, 3))[row.astype(int), column.astype(int)]
     known = np.isfinite(means)
@@ -271,8 +271,8 @@ def test_reports_and_pages_lay_it_on_the_cells_of_the_dsm(town, tmp_path, told):
     from repm_qgis.reports.stage_reports import _confidence
 
     made = town["made"][0.0]
-    _confidence(Report("t", "s"), made["confidence"], made["ortho"], made["output"])
-    page = {"dsm": made["output"], "ortho": made["ortho"], "viewer": str(tmp_path / "p.html")}
+    _confidence(Report("t", "s"), made.confidence, made.ortho, made.output)
+    page = {"dsm": made.output, "ortho": made.ortho, "viewer": str(tmp_path / "p.html")}
     run_stage("viewer", page, told())
     assert (tmp_path / "p.html").stat().st_size > 10_000
 

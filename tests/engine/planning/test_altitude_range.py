@@ -75,8 +75,8 @@ def test_stripes_of_zeros_do_not_widen_the_range(told, tmp_path):
     from repm_qgis.stages import run_stage
 
     made = run_stage("sampledata", {"folder": str(tmp_path), "kind": "urban", "size": 800, "seed": 3}, told())
-    views, search = load_views(made["images"][:2]), (-300.0, 2500.0)
-    dataset = gdal.Open(made["truth"])
+    views, search = load_views(made.images[:2]), (-300.0, 2500.0)
+    dataset = gdal.Open(made.truth)
     surface, (west, cell, _, north, _, _) = dataset.ReadAsArray(), dataset.GetGeoTransform()
     crs = f"EPSG:{dataset.GetSpatialRef().GetAuthorityCode(None)}"
     bounds = (west, north - surface.shape[0] * cell, west + surface.shape[1] * cell, north)

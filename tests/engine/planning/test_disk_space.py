@@ -57,7 +57,7 @@ def measured(urban, tmp_path_factory, told):
     peak, said = Peak(folder), told()
     peak.start()
     job = {"images": urban.images, "workspace": str(folder / "w"), "workers": 1, **made}
-    scene = run_stage("pipeline", job, said)["scene"]
+    scene = run_stage("pipeline", job, said).scene
     peak.over.set()
     peak.join()
     return Scene.load(scene), DsmFuseOptions(scene=scene, **made), peak.most, said
@@ -92,7 +92,7 @@ def test_refined_images(measured, tmp_path, told):
         "refine", {"scene": str(folder / "scene.json"), "output_scene": str(tmp_path / "refined.json")}, told()
     )
     images = sum(path.stat().st_size for path in tmp_path.rglob("*.tif"))
-    least = images_need(Scene.load(result["output_scene"]), str(tmp_path)).least
+    least = images_need(Scene.load(result.output_scene), str(tmp_path)).least
     assert least < images < 4 * least
 
 

@@ -40,7 +40,7 @@ def test_what_each_image_is(urban, place):
 def test_pairs_are_those_that_the_pipeline_takes(urban_run, place):
     from repm_qgis.scene import Scene
 
-    scene = Scene.load(urban_run.result["scene"])
+    scene = Scene.load(urban_run.result.scene)
     taken = {(pair.first, pair.second): pair for pair in choose_pairs(scene)}
     found = {(facts.pair.first, facts.pair.second): facts for facts in place.pairs}
     assert {names for names, facts in found.items() if facts.chosen} == set(taken)

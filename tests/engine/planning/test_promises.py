@@ -107,7 +107,7 @@ def test_real_images(shared_data):
 def warnings_of_rpcs(folder, told, images, altitudes, wrong_px=0.0):
     """What the pointing of real images warns of their RPCs; the second RPC is wrong by so many columns."""
     options = {"images": list(map(str, images)), "altitude_min": altitudes[0], "altitude_max": altitudes[1]}
-    fitted = run_stage("epmfit", {**options, "workspace": str(folder)}, told())["scene"]
+    fitted = run_stage("epmfit", {**options, "workspace": str(folder)}, told()).scene
     scene = replace(Scene.load(fitted), refinement="polynomial")
     first, second, *others = scene.views
     moved = replace(second, rpc=second.rpc.shifted(-wrong_px, 0.0))

@@ -41,7 +41,7 @@ def figures_of(views, ground, uncertain=0.0):
 def fitted(urban, tmp_path_factory):
     """The scene of the town's first two images, under true RPCs."""
     options = {"images": urban.images[:2], "workspace": str(tmp_path_factory.mktemp("fitted"))}
-    scene = replace(Scene.load(run_stage("epmfit", options, Silent())["scene"]), refinement="polynomial")
+    scene = replace(Scene.load(run_stage("epmfit", options, Silent()).scene), refinement="polynomial")
     true = {view.name: view.rpc for view in urban.true_views}
     views = (replace(view, rpc=true[view.name], sensor="Pleiades 1A") for view in scene.views)
     return replace(scene, views=tuple(views))

@@ -48,7 +48,7 @@ def runs(demo, tmp_path_factory):
     for preset in ("none", "fast"):
         folder = tmp_path_factory.mktemp(preset)
         job = {
-            "images": demo["images"],
+            "images": demo.images,
             "workspace": str(folder / "w"),
             "output": str(folder / "dsm.tif"),
             "workers": 1,
@@ -97,7 +97,7 @@ def test_the_estimate_comes_before_the_work(runs):
 @pytest.mark.slow
 def test_the_inspection_expects_what_the_run_does(demo, runs, told, tmp_path):
     log, report = told(), tmp_path / "page.html"
-    run_stage("inspect", {"images": demo["images"], "report": str(report)}, log)
+    run_stage("inspect", {"images": demo.images, "report": str(report)}, log)
     scene = runs["none"][0]
     said = r"A DSM of all this ground will take about (\d+) s with .* and (\d+\.\d) GiB"
     time, gib = re.search(said, " ".join(log.notes)).groups()

@@ -43,7 +43,7 @@ def true_tracks(truth, count=240, noise=0.05, outliers=0.0):
 def fitted(request, tmp_path_factory, told):
     truth = request.getfixturevalue(request.param)
     made = run_stage("epmfit", {"images": truth.images, "workspace": str(tmp_path_factory.mktemp("colmap"))}, told())
-    return truth, Scene.load(made["scene"])
+    return truth, Scene.load(made.scene)
 
 
 @needs_pycolmap_4
@@ -131,7 +131,7 @@ def test_both_routes_make_the_same_dsm(urban, tmp_path, told):
         out = run_stage(
             "reconstruct",
             {
-                "scene": made["scene"],
+                "scene": made.scene,
                 "output_scene": str(tmp_path / route / "r.json"),
                 "pointing": "shift",
                 "adjustment": route,
@@ -140,9 +140,9 @@ def test_both_routes_make_the_same_dsm(urban, tmp_path, told):
         )
         dsm = run_stage(
             "dsmfuse",
-            {"scene": out["output_scene"], "output": str(tmp_path / f"{route}.tif"), "resolution": 0.5},
+            {"scene": out.output_scene, "output": str(tmp_path / f"{route}.tif"), "resolution": 0.5},
             told(),
-        )["output"]
+        ).output
         box = urban.bounds
         warped = (
             gdal.Warp("", dsm, format="MEM", outputBounds=box, xRes=0.5, yRes=0.5, resampleAlg="near", dstNodata=-9999)

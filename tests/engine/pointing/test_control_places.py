@@ -25,7 +25,7 @@ def changed(urban, tmp_path):
     """changed(change): the truth scene's points with each row (a dictionary of texts) changed; the table's path."""
 
     def write(change):
-        with open(urban.made["gcps"], newline="", encoding="utf-8") as stream:
+        with open(urban.made.gcps, newline="", encoding="utf-8") as stream:
             rows = list(csv.DictReader(stream))
         path = tmp_path / "gcps.csv"
         with open(path, "w", newline="", encoding="utf-8") as stream:
@@ -50,7 +50,7 @@ def swapped(row):
 
 
 def test_the_truth_scenes_own_points_are_believed(urban):
-    gcps = read_gcps(urban.made["gcps"], urban.views)
+    gcps = read_gcps(urban.made.gcps, urban.views)
     placed = placed_points(gcps, urban.views)
     assert len(placed) == len(gcps) and all(point.inside and not point.is_far for point in placed)
     # The RPCs are wrong by a few px, and nothing else makes a distance.
@@ -69,7 +69,7 @@ def test_the_truth_scenes_own_points_are_believed(urban):
 @pytest.mark.long
 def test_points_of_another_place_stop_every_stage_that_takes_them(urban, changed, tmp_path, told, change, words):
     path, count = changed(change), urban.record["gcp_points"]
-    fitted = run_stage("epmfit", {"images": urban.images, "workspace": str(tmp_path / "fit")}, told())["scene"]
+    fitted = run_stage("epmfit", {"images": urban.images, "workspace": str(tmp_path / "fit")}, told()).scene
     jobs = {
         "pipeline": {"images": urban.images, "workspace": str(tmp_path / "w"), "output": str(tmp_path / "dsm.tif")},
         "reconstruct": {"scene": fitted, "output_scene": str(tmp_path / "r" / "r.json")},
@@ -91,7 +91,7 @@ def test_one_wrong_point_among_good_ones_is_named_and_left_out(urban, changed, t
     path, said = changed(lambda row: shifted(row) if row["id"] == "P01" else {"role": "control"}), told()
     job = {"images": urban.images, "workspace": str(tmp_path / "w"), "output": str(tmp_path / "dsm.tif")}
     result = run_stage("pipeline", {**job, "gcps": path, "resolution": 2.0}, said)
-    pointing = Scene.load(result["scene"]).pointing
+    pointing = Scene.load(result.scene).pointing
     assert pointing.rejected_gcps == ("P01",) and pointing.control_noise_px < 1.0
     assert any("The control point P01 contradicts all others" in text for text in said.warnings)
 
@@ -99,10 +99,10 @@ def test_one_wrong_point_among_good_ones_is_named_and_left_out(urban, changed, t
 def test_points_that_are_near_but_off_are_measured_and_the_report_warns(urban, changed, tmp_path, told):
     """120 m: the points are in the images, so that somebody may want to know by how much they are off."""
     path, said = changed(lambda row: {"lat": float(row["lat"]) + 120 / 111_000}), told()
-    fitted = run_stage("epmfit", {"images": urban.images, "workspace": str(tmp_path / "fit")}, told())["scene"]
+    fitted = run_stage("epmfit", {"images": urban.images, "workspace": str(tmp_path / "fit")}, told()).scene
     report = tmp_path / "report.html"
     result = run_stage("checkgcps", {"scene": fitted, "gcps": path, "report": str(report)}, said)
-    assert result["components"]["rpc"]["north"]["medae"] == pytest.approx(120, abs=5)
+    assert result.components["rpc"]["north"]["medae"] == pytest.approx(120, abs=5)
     assert any("lie too far from where the vendors' RPCs put their pixels: 12" in text for text in said.warnings)
     assert "lie too far" in report.read_text(encoding="utf-8")
     with pytest.raises(InputTableError, match="lie too far"):
@@ -149,7 +149,7 @@ def test_points_are_believed_up_to_the_vendors_promise_and_50_m(wide, accuracy, 
 
 
 def test_the_vendors_figure_goes_with_the_scene(urban, tmp_path, told):
-    path = Path(run_stage("epmfit", {"images": urban.images, "workspace": str(tmp_path)}, told())["scene"])
+    path = Path(run_stage("epmfit", {"images": urban.images, "workspace": str(tmp_path)}, told()).scene)
     document = json.loads(path.read_text())
     assert document["views"][0]["rpc"]["accuracy_m"] is None
     document["views"][0]["rpc"]["accuracy_m"] = 2.5

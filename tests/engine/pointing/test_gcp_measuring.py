@@ -15,7 +15,7 @@ from repm_qgis.pointing.ground_control import read_gcps
 def measuring(urban):
     """A list with the truth scene's points, not measured yet."""
     found = GcpMeasuring(urban.views)
-    for gcp in read_gcps(urban.made["gcps"], None):
+    for gcp in read_gcps(urban.made.gcps, None):
         found.add({"id": gcp.id, "lon": gcp.lon, "lat": gcp.lat, "height": gcp.height, "role": gcp.role})
     return found
 

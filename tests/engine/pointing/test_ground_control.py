@@ -38,8 +38,8 @@ def refused(path, views, *words, kind=InputTableError, datum=None):
 
 
 def test_the_truth_scenes_points_are_read_whole(urban):
-    gcps = read_gcps(urban.made["gcps"], urban.views)
-    lines = [line.split(",") for line in open(urban.made["gcps"], encoding="utf-8").read().split()[1:]]
+    gcps = read_gcps(urban.made.gcps, urban.views)
+    lines = [line.split(",") for line in open(urban.made.gcps, encoding="utf-8").read().split()[1:]]
     assert {(gcp.id, f"{name}") for gcp in gcps for name in gcp.pixels} == {(line[0], line[4]) for line in lines}
     assert len(gcps) == urban.record["gcp_points"] >= 8
     assert {gcp.role for gcp in gcps} == {"control", "check"}

@@ -219,11 +219,11 @@ def pointed(urban, tmp_path_factory, told):
     """The town's refined scene, pointed with its own noisy control points."""
     folder = tmp_path_factory.mktemp("pointed")
     fitted = run_stage("epmfit", {"images": urban.images, "workspace": str(folder), "tile_size": 256}, told())
-    scene = Scene.load(fitted["scene"])
+    scene = Scene.load(fitted.scene)
     scene = replace(scene, refinement="polynomial")
     pairs = choose_pairs(scene)
     stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
-    gcps = read_gcps(urban.made["gcps"], scene.views)
+    gcps = read_gcps(urban.made.gcps, scene.views)
     said = told()
     before = [view.pointing.copy() for view in scene.views]
     found = point_views(scene, pairs, stretches, model="auto", gcps=gcps, progress=said)

@@ -110,7 +110,7 @@ def test_only_what_both_tell_can_contradict():
 
 
 def test_what_is_known_before_is_what_vendors_promise_and_what_is_usual(urban_run):
-    scene = Scene.load(urban_run.result["scene"])
+    scene = Scene.load(urban_run.result.scene)
     horizontal, up = promised(scene.views)
     usual = usual_height_deviation(scene.pairs, scene.pointing, scene.gsd_m)
     assert usual < up and prior_of(scene).up_m == usual and prior_of(scene).horizontal_m == horizontal

@@ -28,7 +28,7 @@ def page_of(scene):
 
 @pytest.fixture
 def scene(urban_run):
-    return Scene.load(urban_run.result["scene"])
+    return Scene.load(urban_run.result.scene)
 
 
 def test_overlap_is_of_the_smaller_footprint(scene):
@@ -107,7 +107,7 @@ def test_control_points_are_told_and_rejected_ones_named(scene):
 
 
 def test_ties_show_what_is_left_of_their_rows(scene, urban_run):
-    source = ogr.Open(urban_run.result["tie_points"])
+    source = ogr.Open(urban_run.result.tie_points)
     rows = np.array([feature["row"] for feature in source.GetLayer(0)])
     source = None
     medians = [pair.after_px for pair in scene.pointing.pairs]

@@ -26,7 +26,7 @@ from tests.engine.pages import plain
 
 @pytest.fixture(scope="module")
 def made(urban_run):
-    scene = Scene.load(urban_run.result["scene"])
+    scene = Scene.load(urban_run.result.scene)
     history = [replace(entry, warnings=()) for entry in scene.history]
     return replace(scene, history=tuple(history)), FusionFacts.from_mapping(urban_run.result)
 

@@ -144,9 +144,9 @@ def measured(shared_data, pipeline, tmp_path_factory):
     """measured(code, side, extra): the peak of a process that does one task on truth_urban, MiB, and facts of it."""
     folder = tmp_path_factory.mktemp("memory")
     images = [str(shared_data / "truth_urban" / f"img_0{i}.tif") for i in (1, 2)]
-    scene = pipeline(SimpleNamespace(images=images), folder, confidence=None, ortho=None, cloud=None, workers=1).result[
-        "scene"
-    ]
+    scene = pipeline(
+        SimpleNamespace(images=images), folder, confidence=None, ortho=None, cloud=None, workers=1
+    ).result.scene
 
     def measure(code, side, extra):
         done = subprocess.run(
@@ -296,7 +296,7 @@ def test_a_dsm_does_not_depend_on_the_budget(urban, tmp_path, pipeline):
     runs = [pipeline(urban, tmp_path / str(budget), memory=budget, **options) for budget in (200, 4000)]
     assert any("1 instead of 2 workers" in note for note in runs[0].said.notes)
     assert not any("instead of" in note for note in runs[1].said.notes)
-    first, second = (Path(run.result["output"]).read_bytes() for run in runs)
+    first, second = (Path(run.result.output).read_bytes() for run in runs)
     assert first == second
     with pytest.raises(OptionError, match="MEMORY is 100"):
         pipeline(urban, tmp_path / "little", memory=100, **options)

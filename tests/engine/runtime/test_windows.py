@@ -83,7 +83,7 @@ def test_a_run_by_spawned_workers_gives_the_same_heights(urban_run, urban, tmp_p
     )
     assert code == 0, (said[-3:], errors)
     assert said[-1]["result"]["output"] == str(place / "DSM größe.tif")
-    np.testing.assert_array_equal(heights(place / "DSM größe.tif"), heights(urban_run.result["output"]))
+    np.testing.assert_array_equal(heights(place / "DSM größe.tif"), heights(urban_run.result.output))
     assert "日本" in (place / "report 日本.html").read_text(encoding="utf-8")
     assert b"\r" not in (place / "DSM größe.qml").read_bytes()
 

@@ -130,7 +130,7 @@ def bands(path):
 
 def test_the_stack_has_all_dates_in_their_order(whole):
     folder, result = whole
-    assert result["dates"] == list(DAYS)
+    assert result.dates == list(DAYS)
     stack = gdal.Open(str(folder / "s.tif"))
     assert [stack.GetRasterBand(band).GetDescription() for band in range(1, 7)] == list(DAYS)
     assert stack.GetMetadataItem("DATE_4") == DAYS[3] and stack.GetSpatialRef().GetAuthorityCode(None) == "32631"
@@ -142,8 +142,8 @@ def test_the_stack_has_all_dates_in_their_order(whole):
 
 def test_errors_of_dates_are_those_that_were_put_in(whole):
     _, result = whole
-    assert result["errors_m"] == pytest.approx(SIGMA, rel=0.15)
-    assert np.abs(result["offsets_m"]).max() < 0.02
+    assert result.errors_m == pytest.approx(SIGMA, rel=0.15)
+    assert np.abs(result.offsets_m).max() < 0.02
 
 
 def test_the_trend_is_recovered_and_its_errors_hold(whole):
@@ -178,7 +178,7 @@ def test_dates_of_change_are_right(whole):
     assert (first[top] == 2).mean() > 0.9 and (last[top] == 6).mean() > 0.95
     still = (dome() == 0) & ~rim()
     assert (first[still] != 0).mean() < 0.002
-    assert result["falling_m2"] == pytest.approx(2500, rel=0.06)
+    assert result.falling_m2 == pytest.approx(2500, rel=0.06)
     style = (folder / "c.qml").read_text(encoding="utf-8")
     assert re.findall(r'label="([\d-]+)"', style) == list(DAYS)
 
@@ -218,14 +218,14 @@ def test_volumes_over_time_are_within_their_errors(dates, tmp_path, told):
     assert found[0]["m3_20240505"] == pytest.approx(found[0]["volume_m3"], abs=1e-6)
     per_year = RATE * dome()[cells["dome"]].sum()
     assert abs(found[0]["trend_m3_a"] - per_year) < 3 * found[0]["trend_error"] < 0.1 * per_year
-    assert result["areas"] == 2 and result["volume_m3"] == pytest.approx(found[0]["volume_m3"])
+    assert result.areas == 2 and result.volume_m3 == pytest.approx(found[0]["volume_m3"])
 
 
 def test_without_areas_the_changes_are_outlined(whole):
     folder, result = whole
     source = ogr.Open(str(folder / "v.gpkg"))
     found = [{**each.items(), "shape": each.GetGeometryRef().Clone()} for each in source.GetLayer(0)]
-    assert len(found) == result["areas"] == 2
+    assert len(found) == result.areas == 2
     grown, dug = found
     assert grown["change"] == "gain" and dug["change"] == "loss" and dug["area_m2"] == pytest.approx(2500, rel=0.06)
     assert dug["volume_m3"] == pytest.approx(-7500, rel=0.03)
@@ -237,7 +237,7 @@ def test_without_areas_the_changes_are_outlined(whole):
 
 def test_each_date_has_a_layer_with_its_period(whole):
     folder, result = whole
-    assert [path[-14:-4] for path in result["maps"]] == list(reversed(DAYS))
+    assert [path[-14:-4] for path in result.maps] == list(reversed(DAYS))
     for date, day in enumerate(DAYS):
         np.testing.assert_array_equal(bands(folder / "l" / f"{day}.vrt"), bands(folder / "s.tif")[date])
         style = (folder / "l" / f"{day}.qml").read_text(encoding="utf-8")
@@ -257,7 +257,7 @@ def test_an_offset_is_reported_and_removed_only_where_that_is_asked(align, tmp_p
     progress = told()
     made = {"dsms": paths, "output": str(tmp_path / "s.tif"), "changed": str(tmp_path / "c.tif"), "align": align}
     result = run_stage("series", made, progress)
-    assert result["offsets_m"] == pytest.approx([0, 0, 0, 0, 0.8, 0], abs=0.02)
+    assert result.offsets_m == pytest.approx([0, 0, 0, 0, 0.8, 0], abs=0.02)
     left = np.nanmedian(bands(tmp_path / "s.tif")[4] - truth(4))
     assert left == pytest.approx(0.8 if align == "none" else 0.0, abs=0.02)
     warned = [text for text in progress.warnings if DAYS[4] in text and "set ALIGN to vertical" in text]
@@ -312,7 +312,7 @@ def test_other_cells_another_crs_and_other_extents(tmp_path, told):
     result = run([paths[0], far, part, paths[3]], tmp_path, told, dates=DAYS[:4], trend=str(tmp_path / "t.tif"))
     stack = gdal.Open(str(tmp_path / "stack.tif"))
     assert stack.GetGeoTransform()[1] == 2 and stack.GetSpatialRef().GetAuthorityCode(None) == "32632"
-    assert result["n_dates"] == 4 and result["falling_m2"] == pytest.approx(2500, rel=0.1)
+    assert result.n_dates == 4 and result.falling_m2 == pytest.approx(2500, rel=0.1)
 
 
 def test_times_come_from_the_user_from_a_stac_item_or_from_days(tmp_path):

@@ -31,7 +31,7 @@ class Scene:
         self.spec = SceneSpec.default(kind, SIZE, 3)
         self.result = run(SampleDataOptions(folder=str(folder), kind=kind, size=SIZE, seed=3), Silent())
         self.images, self.files_rpcs = [], []
-        for path in self.result["images"]:
+        for path in self.result.images:
             dataset = gdal.Open(path)
             self.images.append(dataset.ReadAsArray())
             self.files_rpcs.append(rpc_from_texts(dataset.GetMetadata("RPC")))
@@ -39,10 +39,10 @@ class Scene:
         with open(os.path.join(folder, "truth.json"), encoding="utf-8") as stream:
             self.record = json.load(stream)
         self.true_rpcs = [Rpc.from_mapping(view["true_rpc"]) for view in self.record["views"]]
-        dataset = gdal.Open(self.result["truth"])
+        dataset = gdal.Open(self.result.truth)
         self.truth, self.transform = dataset.ReadAsArray(), dataset.GetGeoTransform()
         dataset = None
-        with open(self.result["gcps"], newline="", encoding="utf-8") as stream:
+        with open(self.result.gcps, newline="", encoding="utf-8") as stream:
             self.gcps = list(csv.DictReader(stream))
 
     def ground(self, rows, cols, lift=0.0):
@@ -60,10 +60,9 @@ def scene(request, tmp_path_factory):
 
 @pytest.mark.long
 def test_result_and_files(scene):
-    assert set(scene.result) == {"folder", "images", "truth", "gcps", "rpc_fit_max_px"}
-    assert json.dumps(scene.result)
-    assert [os.path.basename(path) for path in scene.result["images"]] == ["img_01.tif", "img_02.tif", "img_03.tif"]
-    assert sorted(os.listdir(scene.result["folder"])) == [
+    assert json.dumps(scene.result.to_mapping())
+    assert [os.path.basename(path) for path in scene.result.images] == ["img_01.tif", "img_02.tif", "img_03.tif"]
+    assert sorted(os.listdir(scene.result.folder)) == [
         "gcps.csv",
         "img_01.tif",
         "img_02.tif",
@@ -71,11 +70,11 @@ def test_result_and_files(scene):
         "truth.json",
         "truth.tif",
     ]
-    assert scene.result["rpc_fit_max_px"] < 0.01
+    assert scene.result.rpc_fit_max_px < 0.01
 
 
 def test_images_are_12_bit_tiled_and_only_rpc_referenced(scene):
-    for path, image in zip(scene.result["images"], scene.images):
+    for path, image in zip(scene.result.images, scene.images):
         dataset = gdal.Open(path)
         assert (dataset.RasterXSize, dataset.RasterYSize, dataset.RasterCount) == (SIZE, SIZE, 1)
         assert dataset.GetRasterBand(1).DataType == gdal.GDT_UInt16
@@ -92,7 +91,7 @@ def test_images_are_12_bit_tiled_and_only_rpc_referenced(scene):
 
 def test_gdal_projects_as_our_rpc_does(scene):
     rng = np.random.default_rng(0)
-    for path, rpc in zip(scene.result["images"], scene.files_rpcs):
+    for path, rpc in zip(scene.result.images, scene.files_rpcs):
         low, high = rpc.height_range
         points = np.stack(
             [
@@ -126,7 +125,7 @@ def test_files_rpcs_are_the_true_ones_plus_the_recorded_bias(scene):
 
 
 def test_truth_is_georeferenced_ellipsoidal_and_seen_by_all_views(scene):
-    dataset = gdal.Open(scene.result["truth"])
+    dataset = gdal.Open(scene.result.truth)
     band = dataset.GetRasterBand(1)
     assert band.DataType == gdal.GDT_Float32 and band.GetNoDataValue() == -9999.0
     assert "ellipsoid" in band.GetDescription() and band.GetUnitType() == "m"
@@ -285,4 +284,4 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path):
 def test_smallest_scene_works(tmp_path):
     for kind in KINDS:
         result = run(SampleDataOptions(folder=str(tmp_path / kind), kind=kind, size=128, seed=11), Silent())
-        assert result["rpc_fit_max_px"] < 0.01
+        assert result.rpc_fit_max_px < 0.01

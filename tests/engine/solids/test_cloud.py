@@ -21,7 +21,7 @@ from tests.engine.rasters import bands
 @pytest.fixture
 def gathered(urban_run, tmp_path, told):
     """A function that gathers the points on a DSM: (N, 4) x, y, height, score."""
-    scene = Scene.load(urban_run.result["scene"])
+    scene = Scene.load(urban_run.result.scene)
 
     def made(dsm, crs=scene.crs, tiles=scene.tiles):
         datum = HeightDatum.of("")
@@ -43,9 +43,9 @@ def places(points, dsm):
 def test_the_points_lie_on_the_written_dsm_or_on_its_walls(urban_run, gathered):
     dsm = urban_run.options["output"]
     points, height = gathered(dsm), bands(dsm)[0][0]
-    assert len(points) == urban_run.result["points"]
+    assert len(points) == urban_run.result.points
     off = np.abs(points[:, 2] - height[places(points, dsm)])
-    scene = Scene.load(urban_run.result["scene"])
+    scene = Scene.load(urban_run.result.scene)
     px = max(record.metres_per_px for tile in scene.tiles for record in tile.heights)
     assert 0.8 < (off < px).mean() < 1.0  # the others lie on walls
 
@@ -83,11 +83,11 @@ def test_roofs_that_the_dsm_cut_are_gone_and_walls_stay(urban_run, gathered, tmp
 @pytest.mark.long
 def test_in_another_crs_each_point_is_there_once(urban_run, gathered, tmp_path, told):
     """Tiles are turned there, and their windows overlap."""
-    scene = Scene.load(urban_run.result["scene"])
+    scene = Scene.load(urban_run.result.scene)
     zone = int(scene.crs.split(":")[1])
     crs = f"EPSG:{zone + 1 if zone % 100 < 60 else zone - 1}"
     turned = str(tmp_path / "turned.tif")
-    run_stage("dsmfuse", {"scene": urban_run.result["scene"], "output": turned, "crs": crs, "resolution": 0.5}, told())
+    run_stage("dsmfuse", {"scene": urban_run.result.scene, "output": turned, "crs": crs, "resolution": 0.5}, told())
     points = gathered(turned, crs)
     assert len(np.unique(points, axis=0)) == len(points)
-    assert len(scene.tiles) == 4 and abs(len(points) / urban_run.result["points"] - 1) < 0.02
+    assert len(scene.tiles) == 4 and abs(len(points) / urban_run.result.points - 1) < 0.02

@@ -211,7 +211,7 @@ def test_a_dsm_that_states_no_datum_is_taken_to_be_above_the_ellipsoid_with_a_wa
     result = run_stage("tiles3d", {"dsm": dsm, "tiles3d": str(tmp_path / "tiles")}, heard)
     assert any("does not state its vertical datum" in text for text in heard.warnings)
     assert any(text.startswith("3-D Tiles: 1 tile with ") for text in heard.notes)
-    assert result["tiles"] == 1 and result["tileset"] == str(tmp_path / "tiles" / "tileset.json")
+    assert result.tiles == 1 and result.tileset == str(tmp_path / "tiles" / "tileset.json")
 
 
 def test_only_windows_of_a_tile_are_read(tmp_path, monkeypatch):

@@ -117,7 +117,7 @@ def test_an_extent_of_the_whole_earth_is_no_limit(bench, tmp_path, extent):
     found = []
     for name, more in (("without", {}), ("with", {"extent": extent})):
         made = run_stage("epmfit", {"images": images, "workspace": str(tmp_path / name), **more}, Silent())
-        found.append(ogr.CreateGeometryFromWkt(Scene.load(made["scene"]).area))
+        found.append(ogr.CreateGeometryFromWkt(Scene.load(made.scene).area))
     assert found[0].SymDifference(found[1]).GetArea() < 1e-3 * found[0].GetArea()
 
 
@@ -224,7 +224,7 @@ def test_stages_in_the_wrong_order(bench, urban, told):
         "epmfit",
         {"images": urban.images[:2], "workspace": bench.workspace, "altitude_min": 150.0, "altitude_max": 260.0},
         told(),
-    )["scene"]
+    ).scene
     text = bench.fails(SceneError, "dsmfuse", scene=fitted, output=bench.output)
     assert fitted in text and "no height maps" in text
     text = bench.fails(SceneError, "errormap", scene=fitted, output=bench.output, view="nadir")
@@ -323,7 +323,7 @@ def test_a_missing_wheel(tmp_path, urban, told, package, stage):
     """The engine's command line with an import that is blocked: code 1, the package, and what installs it."""
     options = {"images": urban.images[:2], "workspace": str(tmp_path / "ws")}
     if stage == "reconstruct":
-        fitted = run_stage("epmfit", {**options, "altitude_min": 150.0, "altitude_max": 260.0}, told())["scene"]
+        fitted = run_stage("epmfit", {**options, "altitude_min": 150.0, "altitude_max": 260.0}, told()).scene
         options = {"scene": fitted, "output_scene": str(tmp_path / "out.json")}
     (tmp_path / "job.json").write_text(json.dumps(options))
     code = (
@@ -355,7 +355,7 @@ def test_an_image_of_another_place_changes_nothing_but_a_warning(bench, tmp_path
         said = told()
         workspace = str(tmp_path / f"w{number}")
         made = run_stage("epmfit", {"images": images, "workspace": workspace, "tile_size": 300}, said)
-        document = json.loads(Path(made["scene"]).read_text())
+        document = json.loads(Path(made.scene).read_text())
         scenes.append({key: value for key, value in document.items() if key not in ("folder", "history")})
         assert [text for text in said.warnings if "left out: abroad" in text] == said.warnings[:number] * bool(number)
     assert scenes[0] == scenes[1] == scenes[2] and len(scenes[0]["views"]) == 2
@@ -371,7 +371,7 @@ def test_an_extent_chooses_the_place(bench, tmp_path, told):
     extent = {"extent": [x - 50, y - 50, x + 50, y + 50], "extent_crs": "EPSG:32723"}
     for chosen, names in (({}, ["img_01", "img_02"]), (extent, ["there0", "there1"])):
         made = run_stage("epmfit", {**options, **chosen}, told())
-        assert [view["name"] for view in json.loads(Path(made["scene"]).read_text())["views"]] == names
+        assert [view["name"] for view in json.loads(Path(made.scene).read_text())["views"]] == names
 
 
 def test_altitudes_of_another_place(bench):
@@ -384,9 +384,9 @@ def test_control_points_of_images_that_are_not_in_the_run(bench, tmp_path, told)
     """A table of three images, a run of two: their measurements count, and the third image's are told."""
     said = told()
     fitted = run_stage("epmfit", {"images": bench.urban.images[:2], "workspace": bench.workspace}, said)
-    options = {"scene": fitted["scene"], "gcps": bench.urban.made["gcps"]}
+    options = {"scene": fitted.scene, "gcps": bench.urban.made.gcps}
     made = run_stage("reconstruct", {**options, "output_scene": str(tmp_path / "reconstructed.json")}, said)
-    pointing = json.loads(Path(made["output_scene"]).read_text())["pointing"]
+    pointing = json.loads(Path(made.output_scene).read_text())["pointing"]
     assert pointing["control_noise_px"] is not None and len(pointing["gcps"]) >= 8
     assert [text for text in said.warnings if "(img_03)" in text and "those in img_01, img_02 are used" in text]
     checked = told()

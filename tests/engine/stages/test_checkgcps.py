@@ -26,7 +26,7 @@ FIELDS = ("id", "lon", "lat", "height", "view", "col", "row", "role")
 def scene(urban, tmp_path_factory, told):
     """The town's scene as epmfit leaves it: vendors' RPCs, wrong by the biases that truth.json records."""
     folder = tmp_path_factory.mktemp("scene")
-    return run_stage("epmfit", {"images": urban.images, "workspace": str(folder)}, told())["scene"]
+    return run_stage("epmfit", {"images": urban.images, "workspace": str(folder)}, told()).scene
 
 
 @pytest.fixture(scope="module")
@@ -86,33 +86,33 @@ def located_by_hand(urban, point):
 
 def test_known_biases_come_out_and_compensation_takes_them_out(urban, scene, exact, points, tmp_path, told):
     result = run_stage("checkgcps", {"gcps": exact, "scene": scene, "output": str(tmp_path / "p.gpkg")}, told())
-    found, crs = features(result["output"])
-    assert crs == Scene.load(scene).crs.split(":")[1] and len(found) == result["points"] == 12
+    found, crs = features(result.output)
+    assert crs == Scene.load(scene).crs.split(":")[1] and len(found) == result.points == 12
     by_hand = np.array([located_by_hand(urban, point) for point in points])
     ours = np.array([[found[f"P{k:02d}"]["properties"][f"rpc_{axis}"] for axis in "enh"] for k in range(12)])
     np.testing.assert_allclose(ours, by_hand, atol=1e-3)
     assert np.abs(by_hand).max() > 0.3  # there is something to find
     for name, column in zip(("east", "north", "height"), by_hand.T):
-        of = result["components"]["rpc"][name]
+        of = result.components["rpc"][name]
         assert (of["medae"], of["rmse"], of["max"], of["count"]) == pytest.approx(
             (np.median(np.abs(column)), np.sqrt(np.mean(column**2)), np.abs(column).max(), 12), abs=1e-3
         )
-    assert result["rpc_rmse"] == result["components"]["rpc"]["height"]["rmse"]
+    assert result.rpc_rmse == result.components["rpc"]["height"].rmse
     # A bias is the same all over such a small scene: shifts take it out.
-    assert result["compensated_max"] < 0.02 and result["components"]["compensated"]["east"]["max"] < 0.01
-    assert not {"scene_medae", "dsm_medae"} & set(result)
+    assert result.compensated_max < 0.02 and result.components["compensated"]["east"].max < 0.01
+    assert result.scene_medae is None and result.dsm_medae is None
     residual = found["P03"]["properties"]["rpc_px"]
     assert residual == pytest.approx(np.sqrt(np.mean((urban.biases**2).sum(axis=1))), abs=0.02)
 
 
 def test_a_point_has_the_error_that_the_error_map_shows_there(urban, scene, exact, tmp_path, told):
     result = run_stage("checkgcps", {"gcps": exact, "scene": scene, "output": str(tmp_path / "p.gpkg")}, told())
-    found, _ = features(result["output"])
+    found, _ = features(result.output)
     point = found["P05"]
     mapped = []
     for view in Scene.load(scene).views:
         given = {"scene": scene, "view": view.name, "altitude": point["properties"]["height"], "report": ""}
-        path = run_stage("errormap", {**given, "output": str(tmp_path / f"{view.name}.tif")}, told())["output"]
+        path = run_stage("errormap", {**given, "output": str(tmp_path / f"{view.name}.tif")}, told()).output
         dataset = gdal.Open(path)
         west, width, _, north, _, height = dataset.GetGeoTransform()
         x, y = point["geometry"]["coordinates"][:2]
@@ -125,8 +125,8 @@ def test_no_control_point_vouches_for_itself(urban, scene, points, tmp_path, tol
     """One control point off by 1 px in all rows of all views: its own error shows in full, others feel a fifth."""
     path = written(tmp_path / "g.csv", urban, points, pixel=lambda k, name, p: p + (0.0, 1.0 if k == 0 else 0.0))
     result = run_stage("checkgcps", {"gcps": path, "scene": scene, "output": str(tmp_path / "p.gpkg")}, told())
-    assert result["wrong"] == []
-    found, _ = features(result["output"])
+    assert result.wrong == []
+    found, _ = features(result.output)
     px = [found[f"P{k:02d}"]["properties"]["compensated_px"] for k in range(12)]
     assert px[0] == pytest.approx(1.0, abs=0.01)
     for k in range(1, 12):
@@ -149,14 +149,14 @@ def test_two_wrong_points_of_twelve_are_named_and_left_out(urban, scene, points,
         {"gcps": path, "scene": scene, "output": str(tmp_path / "p.gpkg"), "report": str(tmp_path / "r.html")},
         said,
     )
-    assert result["wrong"] == ["P02", "P06"]
+    assert result.wrong == ["P02", "P06"]
     assert [text.split(" contradicts")[0] for text in said.warnings] == [
         "The control point P02",
         "The control point P06",
     ]
-    assert result["components"]["compensated"]["height"]["count"] == 10
-    assert result["components"]["compensated"]["east"]["max"] < 0.5  # 0.3 px of 0.5 m, in three views
-    found, _ = features(result["output"])
+    assert result.components["compensated"]["height"].count == 10
+    assert result.components["compensated"]["east"].max < 0.5  # 0.3 px of 0.5 m, in three views
+    found, _ = features(result.output)
     assert [name for name, feature in found.items() if feature["properties"]["wrong"]] == ["P02", "P06"]
     page = plain((tmp_path / "r.html").read_text(encoding="utf-8"))
     assert page.count("<td>wrong</td>") == 2 and "P02 contradicts the others" in page
@@ -173,17 +173,17 @@ def test_the_scenes_own_pointing_is_a_column_once_there_is_one(urban, scene, exa
         {"gcps": exact, "scene": str(tmp_path / "corrected.json"), "output": str(tmp_path / "p.gpkg")},
         told(),
     )
-    assert result["scene_max"] < 0.02 < 0.3 < result["rpc_max"]
-    found, _ = features(result["output"])
+    assert result.scene_max < 0.02 < 0.3 < result.rpc_max
+    found, _ = features(result.output)
     assert {feature["properties"]["shown"] for feature in found.values()} == {"scene"}
 
 
 def test_a_point_in_one_image_has_a_place_but_no_height(urban, scene, points, tmp_path, told):
     path = written(tmp_path / "g.csv", urban, points[:3], role=lambda k: "control", views=1)
     result = run_stage("checkgcps", {"gcps": path, "scene": scene, "output": str(tmp_path / "p.gpkg")}, told())
-    assert set(result["components"]["rpc"]) == {"east", "north"} and "rpc_rmse" not in result
+    assert set(result.components["rpc"]) == {"east", "north"} and result.rpc_rmse is None
     ground = urban.views[0].localise(urban.true_views[0].project(points[1]), points[1, 2])
-    found, _ = features(result["output"])
+    found, _ = features(result.output)
     east, north, _ = EnuFrame(*map(float, points[1])).from_geodetic(ground)
     place = found["P01"]["properties"]
     assert (place["rpc_e"], place["rpc_n"]) == pytest.approx((east, north), abs=1e-6)
@@ -209,11 +209,11 @@ def changed(source, path, change=lambda heights: heights, crs=None, metadata=Tru
 def test_the_true_dsm_has_no_error_and_a_raised_one_its_own(urban, exact, tmp_path, told):
     said = told()
     result = run_stage("checkgcps", {"gcps": exact, "dsm": urban.truth}, said)
-    assert result["dsm_max"] < 0.001 and said.warnings == []
-    assert set(result["components"]) == {"dsm"} and set(result["components"]["dsm"]) == {"height"}
+    assert result.dsm_max < 0.001 and said.warnings == []
+    assert set(result.components) == {"dsm"} and set(result.components["dsm"]) == {"height"}
     raised = changed(urban.truth, tmp_path / "raised.tif", lambda heights: heights + 1.25)
     result = run_stage("checkgcps", {"gcps": exact, "dsm": raised}, told())
-    assert (result["dsm_medae"], result["dsm_rmse"], result["dsm_max"]) == pytest.approx((1.25,) * 3, abs=0.001)
+    assert (result.dsm_medae, result.dsm_rmse, result.dsm_max) == pytest.approx((1.25,) * 3, abs=0.001)
 
 
 def test_heights_between_cells_are_bilinear(urban, points, tmp_path, told):
@@ -226,7 +226,7 @@ def test_heights_between_cells_are_bilinear(urban, points, tmp_path, told):
     lon_lat = geodetic_from_projected(urban.crs, np.column_stack([x + (col + 0.5) * cell, y - (row + 0.5) * cell]))
     path = written(tmp_path / "g.csv", urban, np.column_stack([lon_lat, 200 + 0.3 * col - 0.7 * row]), views=0)
     result = run_stage("checkgcps", {"gcps": path, "dsm": plane}, told())
-    assert result["dsm_max"] < 0.01
+    assert result.dsm_max < 0.01
 
 
 def test_vertical_datums_of_dsm_and_points_are_brought_together(urban, points, tmp_path, told):
@@ -248,17 +248,17 @@ def test_vertical_datums_of_dsm_and_points_are_brought_together(urban, points, t
         for dsm in (urban.truth, geoid):
             said = told()
             result = run_stage("checkgcps", {"gcps": path, "gcp_datum": datum, "dsm": dsm}, said)
-            assert result["dsm_max"] < 0.05 and said.warnings == []  # the geoid tilts by centimetres over the scene
+            assert result.dsm_max < 0.05 and said.warnings == []  # the geoid tilts by centimetres over the scene
     said = told()
     result = run_stage("checkgcps", {"gcps": tables["EGM96"], "dsm": urban.truth}, said)
-    assert result["dsm_medae"] == pytest.approx(undulation, abs=0.05)
+    assert result.dsm_medae == pytest.approx(undulation, abs=0.05)
     assert any("usually a geoid" in text and "GCP_DATUM" in text for text in said.warnings)
 
 
 def test_a_dsm_that_does_not_say_its_datum_is_taken_as_ellipsoidal_aloud(urban, exact, tmp_path, told):
     silent = changed(urban.truth, tmp_path / "silent.tif", metadata=False)
     said = told()
-    assert run_stage("checkgcps", {"gcps": exact, "dsm": silent}, said)["dsm_max"] < 0.001
+    assert run_stage("checkgcps", {"gcps": exact, "dsm": silent}, said).dsm_max < 0.001
     assert len(said.warnings) == 1 and "does not state its vertical datum" in said.warnings[0]
 
 
@@ -282,10 +282,10 @@ def test_holes_and_places_outside_are_not_counted_and_said(urban, points, tmp_pa
         {"gcps": written(tmp_path / "g.csv", urban, away, views=0), "dsm": dsm, "output": str(tmp_path / "p.gpkg")},
         said,
     )
-    assert result["components"]["dsm"]["height"]["count"] == 11 and result["dsm_max"] < 0.001
+    assert result.components["dsm"]["height"].count == 11 and result.dsm_max < 0.001
     assert any("1 point lies outside the DSM and is not counted: P12" in text for text in said.warnings)
     assert any("1 point lies where the DSM has no height and is not counted: P03" in text for text in said.warnings)
-    found, _ = features(result["output"])
+    found, _ = features(result.output)
     assert found["P03"]["properties"]["dsm_error"] is None and found["P12"]["properties"]["dsm_height"] is None
 
 
@@ -304,7 +304,7 @@ def test_layer_style_and_report_tell_all_columns(urban, scene, exact, tmp_path, 
     style = (tmp_path / "p.qml").read_text(encoding="utf-8")
     assert "@scale@" not in style and "@length@" not in style and "&quot;height_error&quot;" in style
     length = float(style.split("(10 mm = ")[1].split(" m)")[0])
-    east_north = result["components"]["compensated"]
+    east_north = result.components["compensated"]
     assert length >= 0.9 * min(east_north["east"]["rmse"], east_north["north"]["rmse"])
     page = plain((tmp_path / "r.html").read_text(encoding="utf-8"))
     for words in (
@@ -313,12 +313,12 @@ def test_layer_style_and_report_tell_all_columns(urban, scene, exact, tmp_path, 
         "control",
         "check",
         "Max, m",
-        f"{result['rpc_rmse']:.3f}",
-        f"{result['components']['rpc']['east']['max']:.3f}",
+        f"{result.rpc_rmse:.3f}",
+        f"{result.components['rpc']['east']['max']:.3f}",
         "P11",
     ):
         assert words in page
-    found, _ = features(result["output"])
+    found, _ = features(result.output)
     assert found["P05"]["properties"]["height_error"] == pytest.approx(0.0, abs=1e-3)
     assert found["P05"]["properties"]["views"] == "img_01, img_02, img_03"
     assert json.dumps(result, allow_nan=False)
@@ -389,7 +389,7 @@ def test_without_control_points_there_is_no_compensation_and_that_is_said(urban,
     path = written(tmp_path / "g.csv", urban, points, role=lambda k: "check")
     said = told()
     result = run_stage("checkgcps", {"gcps": path, "scene": scene}, said)
-    assert "rpc_medae" in result and "compensated_medae" not in result
+    assert result.rpc_medae is not None and result.compensated_medae is None
     assert len(said.warnings) == 1 and "role control" in said.warnings[0]
 
 

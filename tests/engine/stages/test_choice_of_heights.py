@@ -26,7 +26,7 @@ def fused(urban_run, tmp_path, told):
     def made(name, parameters=ENGINE, scene=None, **options):
         files = {"output": str(tmp_path / f"{name}.tif"), "confidence": str(tmp_path / f"{name}_confidence.tif")}
         log = told()
-        scene = scene or urban_run.result["scene"]
+        scene = scene or urban_run.result.scene
         facts = run_stage("dsmfuse", {"scene": scene, "resolution": 0.5, **files, **options}, log, parameters)
         return bands(files["output"])[0][0], bands(files["confidence"])[0], facts, log
 
@@ -55,8 +55,8 @@ def test_heights_are_chosen_and_each_says_where_it_comes_from(fused, as_they_are
     far = changed & (np.abs(dsm - plain) > 2.0) & (source == Provenance.MATCHED)
     assert not np.array_equal(after[2, far], before[2, far]) and (after[4, unmatched] >= 0.7).all()
     counts = {name: int((source == code).sum()) for name, code in (("matched", Provenance.MATCHED),)}
-    assert facts["matched"] == counts["matched"] < without["matched"]
-    assert facts["background"] == unmatched.sum() and facts["valid"] == np.isfinite(dsm).sum()
+    assert facts.matched == counts["matched"] < without.matched
+    assert facts.background == unmatched.sum() and facts.valid == np.isfinite(dsm).sum()
 
 
 @pytest.mark.long
@@ -64,14 +64,14 @@ def test_without_filling_only_matched_heights_are_left(fused):
     dsm, confidence, facts, _ = fused("none", fill="none")
     assert set(np.unique(confidence[3][np.isfinite(confidence[3])])) == {Provenance.MATCHED}
     np.testing.assert_array_equal(np.isnan(confidence[3]), np.isnan(dsm))
-    assert facts["background"] == 0 and facts["matched"] == np.isfinite(dsm).sum()
+    assert facts.background == 0 and facts.matched == np.isfinite(dsm).sum()
 
 
 @pytest.mark.parametrize("kind", ("urban", "mountains"))
 @pytest.mark.slow
 def test_heights_do_not_depend_on_the_blocks(request, tmp_path, told, kind):
     """Three sizes of blocks, in which tiles are gridded and heights are chosen, and the same bytes."""
-    scene = request.getfixturevalue(f"{kind}_run").result["scene"]
+    scene = request.getfixturevalue(f"{kind}_run").result.scene
     found = []
     for number, (side, part) in enumerate(((1024, 512), (300, 200), (160, 333))):
         parameters = replace(ENGINE, fusion=replace(ENGINE.fusion, hole_block_cells=side, block_cells=part))
@@ -87,7 +87,7 @@ def test_heights_do_not_depend_on_the_blocks(request, tmp_path, told, kind):
 @pytest.mark.slow
 def test_heights_do_not_depend_on_what_lies_far_away(request, tmp_path, told, monkeypatch, kind):
     """The same height maps, of which three EXTENTs are fused: farther than 50 m from their borders, the same bytes."""
-    scene, laid_out = request.getfixturevalue(f"{kind}_run").result["scene"], DsmLayout.of
+    scene, laid_out = request.getfixturevalue(f"{kind}_run").result.scene, DsmLayout.of
     found = {}
     for cut in (0, 40, 74):  # cells of 0.5 m
 
@@ -114,9 +114,9 @@ def test_heights_do_not_depend_on_what_lies_far_away(request, tmp_path, told, mo
 
 @pytest.mark.long
 def test_without_its_images_a_scene_is_fused_and_that_is_said(fused, urban_run, tmp_path):
-    scene = Scene.load(urban_run.result["scene"])
+    scene = Scene.load(urban_run.result.scene)
     views = tuple(replace(view, image=str(tmp_path / f"gone_{view.name}.tif")) for view in scene.views)
-    moved = replace(scene, views=views).save(str(Path(urban_run.result["scene"]).with_name("moved.json")))
+    moved = replace(scene, views=views).save(str(Path(urban_run.result.scene).with_name("moved.json")))
     dsm, _, _, log = fused("moved", scene=moved)
     assert np.isfinite(dsm).mean() > 0.5
     assert any(f"{len(views)} images of the scene cannot be found" in line for line in log.notes)

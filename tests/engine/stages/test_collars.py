@@ -33,7 +33,7 @@ def framed(mountains, tmp_path):
 
 
 def fit(images, folder, said):
-    return Scene.load(run_stage("epmfit", {"images": images, "workspace": str(folder)}, said)["scene"])
+    return Scene.load(run_stage("epmfit", {"images": images, "workspace": str(folder)}, said).scene)
 
 
 def test_black_frames_are_masked_and_change_nothing_else(mountains, framed, tmp_path, told):
@@ -106,13 +106,13 @@ def test_of_a_huge_raster_only_the_extent_counts(in_corner, sparse, within, tmp_
     for name, images in (("sparse", sparse), ("plain", in_corner(400, (0, 0)))):
         options = {"images": images, "workspace": str(tmp_path / name), "output": str(tmp_path / f"{name}.tif")}
         made[name] = run_stage("pipeline", {**options, **within, "resolution": 1.0, "workers": 1}, told())
-    scenes = {name: Scene.load(result["scene"]) for name, result in made.items()}
+    scenes = {name: Scene.load(result.scene) for name, result in made.items()}
     for view, plain in zip(scenes["sparse"].views, scenes["plain"].views):
         assert np.abs(np.subtract(view.part, (*np.add(plain.part[:2], CORNER), *plain.part[2:]))).max() <= 3
         stretch, expected = view.stretch(), plain.stretch()
         assert abs(stretch.low - expected.low) < 3 and abs(stretch.high - expected.high) < 5
         assert all(tile.views[view.name].window.common(view.part) for tile in scenes["sparse"].tiles)
-    heights = [gdal.Open(made[name]["output"]).ReadAsArray() for name in ("sparse", "plain")]
+    heights = [gdal.Open(made[name].output).ReadAsArray() for name in ("sparse", "plain")]
     assert heights[0].shape == heights[1].shape
     both = (heights[0] != -9999) & (heights[1] != -9999)
     assert both.mean() > 0.95 * (heights[1] != -9999).mean()
@@ -131,4 +131,4 @@ def test_an_extent_that_images_show_wholly_changes_nothing(mountains, tmp_path, 
     xmin, ymin, xmax, ymax = back.transform_bounds(*mountains.bounds)
     options = {"images": mountains.images, "extent": [xmin - 0.1, ymin - 0.1, xmax + 0.1, ymax + 0.1]}
     made = run_stage("epmfit", {**options, "workspace": str(tmp_path), "extent_crs": "EPSG:4326"}, told())
-    assert [view.part for view in Scene.load(made["scene"]).views] == [None] * 3
+    assert [view.part for view in Scene.load(made.scene).views] == [None] * 3

@@ -90,7 +90,7 @@ def test_a_product_that_another_program_has_open_is_refused_before_the_work(proj
 
 
 def test_what_a_scene_names_is_an_input_too(urban_run, told, tmp_path):
-    scene = Scene.load(urban_run.result["scene"])
+    scene = Scene.load(urban_run.result.scene)
     for file in (scene.views[1].image, scene.tiles[0].heights[0].file, scene.tie_points, str(scene.path)):
         before = Path(file).read_bytes()
         with pytest.raises(OptionError, match="OUTPUT is .* is also a file of the input SCENE"):

@@ -31,9 +31,9 @@ def dem_of(truth, folder, up, cells=10, cut=slice(None)):
 
 def fused(run, folder, dem, said, uncertain=6.0, **options):
     """The run's height maps fused in a scene that has a DEM, and whose height is uncertain by so many metres."""
-    scene = Scene.load(run.result["scene"])
+    scene = Scene.load(run.result.scene)
     pointing = replace(scene.pointing, height_uncertainty_m=uncertain)
-    path = replace(scene, dem=dem, pointing=pointing).save(str(Path(run.result["scene"]).with_name("with_dem.json")))
+    path = replace(scene, dem=dem, pointing=pointing).save(str(Path(run.result.scene).with_name("with_dem.json")))
     made = run_stage("dsmfuse", {"scene": path, "output": str(folder / "dsm.tif"), **options}, said)
     return Scene.load(path), made
 
@@ -92,9 +92,9 @@ def test_a_dem_that_cannot_be_compared_stops_nothing(urban_run, urban, tmp_path,
     for dem in (few, str(tmp_path / "gone.tif")):
         said = told()
         made = fused(urban_run, tmp_path, dem, said)[1]
-        assert made["dem_offset"] is None and made["valid"] > 0 and said.warnings == []
+        assert made.dem_offset is None and made.valid > 0 and said.warnings == []
         assert any(f"was not compared with the DEM '{dem}'" in note for note in said.notes)
 
 
 def test_without_a_dem_there_is_no_offset(urban_run):
-    assert urban_run.result["dem_offset"] is None
+    assert urban_run.result.dem_offset is None

@@ -68,7 +68,7 @@ def test_an_area_that_is_too_small_for_the_cells_is_refused_before_matching(urba
 
 
 def test_the_fusion_refuses_the_same(urban_run, told, tmp_path):
-    scene = urban_run.result["scene"]
+    scene = urban_run.result.scene
     seen, views = ground_of(scene), Scene.load(scene).views
     assert seen == GroundSeen.of(views) and seen.gsd_m == min(view.gsd_m for view in views)
     for resolution, words in ((0.02, "must be at least"), (900.0, "must be at most")):
@@ -86,7 +86,7 @@ def test_a_geoid_without_its_grid_is_said_before_the_fit(urban, job, told, optio
     monkeypatch.setattr(vertical, "vertical_operations", missing)
     vertical._best_operation.cache_clear()
     with pytest.raises(MissingPackageError) as caught:
-        run_stage("pipeline", job(gcps=urban.made["gcps"], **{option: "EGM2008"}), told())
+        run_stage("pipeline", job(gcps=urban.made.gcps, **{option: "EGM2008"}), told())
     text = str(caught.value)
     for words in ("EGM2008 height", "put https://cdn.proj.org/us_nga_egm08_25.tif into the folder", option.upper()):
         assert words in text, text

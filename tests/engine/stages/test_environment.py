@@ -13,11 +13,11 @@ def test_the_report_holds_versions_and_machine(tmp_path):
     report = tmp_path / "environment.html"
     result = run_stage("environment", {"report": str(report)}, Silent())
     page = plain(report.read_text(encoding="utf-8"))
-    assert result["report"] == str(report)
-    assert numpy.__version__ in page and result["interpreter"] in page
-    for name in result["versions"]:
+    assert result.report == str(report)
+    assert numpy.__version__ in page and result.interpreter in page
+    for name in result.versions:
         assert name in page
-    assert f"{result['memory']['total_bytes'] / 2**30:.1f} GiB" in page
+    assert f"{result.memory['total_bytes'] / 2**30:.1f} GiB" in page
 
 
 def test_what_is_missing_is_warned_of_with_its_remedy(tmp_path, monkeypatch):
@@ -36,7 +36,7 @@ def test_what_is_missing_is_warned_of_with_its_remedy(tmp_path, monkeypatch):
     ]
     page = plain(report.read_text(encoding="utf-8"))
     assert "Not installed: pycolmap: tie points; laspy: points." in page and "choose this." in page
-    assert result["missing"] == found["missing"]
+    assert result.missing == found["missing"]
 
 
 def test_what_cuda_needs_is_told_with_its_command(tmp_path, monkeypatch):
@@ -60,4 +60,4 @@ def test_what_cuda_needs_is_told_with_its_command(tmp_path, monkeypatch):
 
 def test_without_a_report_it_only_tells():
     result = run_stage("environment", {}, Silent())
-    assert result["report"] is None and result["cores"] >= 1
+    assert result.report is None and result.cores >= 1

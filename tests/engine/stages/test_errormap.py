@@ -28,7 +28,7 @@ def scene(mountains, tmp_path_factory, told):
             "tile_size": 300,
         },
         told(),
-    )["scene"]
+    ).scene
 
 
 @pytest.mark.parametrize("refined", (False, True))
@@ -39,7 +39,7 @@ def test_cells_hold_pinhole_minus_rpc(scene, tmp_path, told, refined, altitude):
     if refined:
         path = run_stage(
             "refine", {"scene": scene, "output_scene": str(tmp_path / "refined.json"), "write_images": False}, told()
-        )["output_scene"]
+        ).output_scene
     output = str(tmp_path / "error.tif")
     result = run_stage("errormap", {"scene": path, "output": output, "view": "img_02", "altitude": altitude}, told())
     loaded = Scene.load(path)
@@ -77,17 +77,17 @@ def test_cells_hold_pinhole_minus_rpc(scene, tmp_path, told, refined, altitude):
     assert np.nanmax(np.abs(found - expected)) < 2e-3 and np.isfinite(expected).all()
     np.testing.assert_allclose(magnitude[rows, cols], np.hypot(*found.T), atol=1e-5)
     assert (worst[known] >= magnitude[known] - 1e-5).all()
-    assert result["rmse"] == pytest.approx(np.sqrt((magnitude[known] ** 2).mean()), rel=1e-4)
-    assert result["max_error"] == pytest.approx(magnitude[known].max(), rel=1e-4)
+    assert result.rmse == pytest.approx(np.sqrt((magnitude[known] ** 2).mean()), rel=1e-4)
+    assert result.max_error == pytest.approx(magnitude[known].max(), rel=1e-4)
     assert os.path.exists(str(tmp_path / "error.qml")) and bands.shape[0] == 4
 
 
 def test_refinement_makes_the_map_fainter(scene, tmp_path, told):
     refined = run_stage(
         "refine", {"scene": scene, "output_scene": str(tmp_path / "refined.json"), "write_images": False}, told()
-    )["output_scene"]
+    ).output_scene
     rmse = [
-        run_stage("errormap", {"scene": path, "output": str(tmp_path / f"{i}.tif")}, told())["rmse"]
+        run_stage("errormap", {"scene": path, "output": str(tmp_path / f"{i}.tif")}, told()).rmse
         for i, path in enumerate((scene, refined))
     ]
     assert rmse[1] <= rmse[0] * 1.001

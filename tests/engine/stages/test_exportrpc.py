@@ -53,9 +53,9 @@ def test_jitter_is_exported_as_far_as_an_rpc_holds_it(pointed, tmp_path, told):
     said = told()
     result = export(path, tmp_path / "rpcs", told, said=said)
     record = json.loads((tmp_path / "rpcs" / "rpcs.json").read_text())["images"][0]
-    assert record["method"] == JITTERED and 0.2 < record["max_px"] < 2.0 and result["max_error"] == record["max_px"]
+    assert record["method"] == JITTERED and 0.2 < record["max_px"] < 2.0 and result.max_error == record["max_px"]
     ground = ground_of(first, scene.altitudes)
-    error = np.linalg.norm(by_gdal(result["images"][0], ground) - first.project(ground), axis=1)
+    error = np.linalg.norm(by_gdal(result.images[0], ground) - first.project(ground), axis=1)
     assert 0.5 * record["max_px"] < error.max() < 1.3 * record["max_px"]
     assert any("cannot hold the jitter of img_01" in text for text in said.warnings)
 
@@ -76,10 +76,10 @@ def test_the_vrts_are_the_images_with_the_pointed_model(pointed, turned, tmp_pat
     for number, path in enumerate((pointed, turned)):
         scene = Scene.load(str(path))
         made = export(path, tmp_path / str(number), told)
-        assert made["images"] == [str(tmp_path / str(number) / f"{view.name}.vrt") for view in scene.views]
-        assert made["max_error"] < 1e-4
-        again = load_views(tuple(made["images"]))
-        for view, vrt, loaded in zip(scene.views, made["images"], again):
+        assert made.images == [str(tmp_path / str(number) / f"{view.name}.vrt") for view in scene.views]
+        assert made.max_error < 1e-4
+        again = load_views(tuple(made.images))
+        for view, vrt, loaded in zip(scene.views, made.images, again):
             ground = ground_of(view, scene.altitudes)
             assert np.abs(view.project(ground) - view.rpc.project(ground)).max() > 0.05  # there is a correction
             assert np.abs(by_gdal(vrt, ground) - view.project(ground)).max() < 1e-4
@@ -121,7 +121,7 @@ def test_bands_nodata_mask_and_time_of_an_image_are_kept_and_its_georeferencing_
     )
     path = replace(scene, views=views, tiles=(), pairs=(), pointing=None).save(str(tmp_path / "s.json"))
     made = export(path, tmp_path / "out", told)
-    with opened(first) as image, opened(made["images"][0]) as shown:
+    with opened(first) as image, opened(made.images[0]) as shown:
         assert np.array_equal(image.ReadAsArray(), shown.ReadAsArray()) and shown.RasterCount == 3
         assert np.array_equal(read(image, band=0), read(shown, band=0), equal_nan=True)
         assert shown.GetRasterBand(2).GetNoDataValue() == 7.0
@@ -129,11 +129,11 @@ def test_bands_nodata_mask_and_time_of_an_image_are_kept_and_its_georeferencing_
             image.GetRasterBand(i).GetColorInterpretation() for i in (1, 2, 3)
         ]
         assert shown.GetProjection() == "" and image.GetProjection() != ""
-    with opened(second) as image, opened(made["images"][1]) as shown:
+    with opened(second) as image, opened(made.images[1]) as shown:
         values = read(shown)
         assert np.isnan(values[:100]).all() and np.array_equal(values, read(image), equal_nan=True)
         assert image.GetGCPCount() == 4 and shown.GetGCPCount() == 0
-    assert [view.acquired for view in load_views(tuple(made["images"]))] == ["2013-07-01T10:20:30.500Z"] * 2
+    assert [view.acquired for view in load_views(tuple(made.images))] == ["2013-07-01T10:20:30.500Z"] * 2
 
 
 def test_images_of_equal_names_have_files_of_their_own(pointed, tmp_path, told):
@@ -145,8 +145,8 @@ def test_images_of_equal_names_have_files_of_their_own(pointed, tmp_path, told):
     named = tuple(view.with_pointing(old.pointing) for view, old in zip(load_views(images), scene.views))
     path = replace(scene, views=named, tiles=(), pairs=(), pointing=None).save(str(tmp_path / "s.json"))
     made = export(path, tmp_path / "out", told)
-    assert len(set(made["images"])) == len(list((tmp_path / "out").glob("*.RPB"))) == len(images)
-    for view, vrt in zip(named, made["images"]):
+    assert len(set(made.images)) == len(list((tmp_path / "out").glob("*.RPB"))) == len(images)
+    for view, vrt in zip(named, made.images):
         ground = ground_of(view, scene.altitudes, 20)
         assert np.abs(by_gdal(vrt, ground) - view.project(ground)).max() < 1e-6
 
@@ -161,11 +161,11 @@ def test_the_folder_and_its_images_can_be_moved_together_and_reached_by_a_link(u
     (tmp_path / "link").symlink_to(home)
     made = export(path, tmp_path / "link" / "out", told)
     wanted = gdal.Open(views[0].image).ReadAsArray()
-    assert np.array_equal(gdal.Open(made["images"][0]).ReadAsArray(), wanted)
-    assert np.array_equal(gdal.Open(str(home / "out" / Path(made["images"][0]).name)).ReadAsArray(), wanted)
+    assert np.array_equal(gdal.Open(made.images[0]).ReadAsArray(), wanted)
+    assert np.array_equal(gdal.Open(str(home / "out" / Path(made.images[0]).name)).ReadAsArray(), wanted)
     os.rename(home, tmp_path / "elsewhere")
     assert np.array_equal(
-        gdal.Open(str(tmp_path / "elsewhere" / "out" / Path(made["images"][0]).name)).ReadAsArray(), wanted
+        gdal.Open(str(tmp_path / "elsewhere" / "out" / Path(made.images[0]).name)).ReadAsArray(), wanted
     )
 
 
@@ -185,7 +185,7 @@ def test_the_list_and_the_report_say_how_and_how_well(turned, tmp_path, told):
             view.image,
             "affine, numerators fitted",
         )
-        assert record["max_px"] <= made["max_error"]
+        assert record["max_px"] <= made.max_error
     page = plain((tmp_path / "r.html").read_text(encoding="utf-8"))
     assert "Every exported RPC is within 0.0001 px" in page
     assert "affine, numerators fitted" in page and "img_02.vrt" in page
@@ -212,8 +212,8 @@ def test_without_pointing_the_rpcs_are_as_delivered_and_it_says_so(urban_run, tm
     fitted = urban_run.workspace / "scene.json"
     made = export(fitted, tmp_path / "out", told, said=said, report=str(tmp_path / "r.html"))
     assert len(said.warnings) == 1 and "the RPCs as delivered: run 'Reconstruct heights' first" in said.warnings[0]
-    assert made["max_error"] == 0.0
-    for view, again in zip(Scene.load(str(fitted)).views, load_views(tuple(made["images"]))):
+    assert made.max_error == 0.0
+    for view, again in zip(Scene.load(str(fitted)).views, load_views(tuple(made.images))):
         assert again.rpc == view.rpc
     assert "the RPCs as delivered" in plain((tmp_path / "r.html").read_text(encoding="utf-8"))
 
@@ -225,8 +225,8 @@ def test_a_correction_that_no_rpc_can_hold_is_a_warning_with_the_number(pointed,
     path = replace(scene, views=views, tiles=(), pairs=(), pointing=None).save(str(tmp_path / "s.json"))
     said = told()
     made = export(path, tmp_path / "out", told, said=said, report=str(tmp_path / "r.html"))
-    assert made["max_error"] > 0.01 and len(said.warnings) == 3
-    assert f"by up to {made['max_error']:.3f} px (usual: at most 0.01 px)" in " ".join(said.warnings)
+    assert made.max_error > 0.01 and len(said.warnings) == 3
+    assert f"by up to {made.max_error:.3f} px (usual: at most 0.01 px)" in " ".join(said.warnings)
     page = plain((tmp_path / "r.html").read_text(encoding="utf-8"))
     assert "Every exported RPC" not in page and "the correction is too large" in page
 
@@ -303,7 +303,7 @@ def test_a_scene_that_was_laid_onto_a_reference_takes_its_rpcs_along(pointed, tm
     centre = tuple(float(value) for value in np.mean(np.reshape(scene.tiles[0].bounds, (2, 2)), axis=0))
     moved, left_px = moved_scene(scene, GroundShift(moved=tuple(metres), tilt=(0.0, 0.0), centre=centre))
     made = export(moved.save(str(tmp_path / "moved.json")), tmp_path / "out", told)
-    for view, vrt in zip(scene.views, made["images"]):
+    for view, vrt in zip(scene.views, made.images):
         ground = ground_of(view, scene.altitudes)
         xyz = np.column_stack([projected_from_geodetic(scene.crs, ground), ground[:, 2]]) + metres
         there = np.column_stack([geodetic_from_projected(scene.crs, xyz[:, :2]), xyz[:, 2]])

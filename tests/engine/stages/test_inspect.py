@@ -36,14 +36,14 @@ def test_layers_and_page(urban, job, told, tmp_path):
     said, start = told(), time.monotonic()
     result = run_stage("inspect", job(urban.images), said)
     assert time.monotonic() - start < 5 and not said.warnings
-    assert (result["n_images"], result["n_pairs"]) == (3, 3)
-    footprints, place = rows(result["footprints"])
+    assert (result.n_images, result.n_pairs) == (3, 3)
+    footprints, place = rows(result.footprints)
     assert f"EPSG:{place}" == urban.crs
     assert [row["view"] for row in footprints] == [view.name for view in urban.views]
     for row, view in zip(footprints, urban.views):
         area = view.width * view.height * view.gsd_m**2
         assert row["shape"].GetArea() == pytest.approx(area, rel=0.1) and row["gsd"] == view.gsd_m
-    overlaps, place = rows(result["overlaps"])
+    overlaps, place = rows(result.overlaps)
     assert f"EPSG:{place}" == urban.crs and len(overlaps) == 3
     by_name = {row["view"]: row["shape"] for row in footprints}
     for row in overlaps:
@@ -55,7 +55,7 @@ def test_layers_and_page(urban, job, told, tmp_path):
     page = plain((tmp_path / "page.html").read_text(encoding="utf-8"))
     verdict = "Good: 3 pairs of 3 are worth matching; begin with"
     assert any(verdict in note for note in said.notes)
-    assert sorted(result["triplet"]) == sorted(urban.images) and set(result["pair"]) < set(urban.images)
+    assert sorted(result.triplet) == sorted(urban.images) and set(result.pair) < set(urban.images)
     assert page.count('<figure><img src="data:image/png') == 3  # small pictures
     for words in ("the best pair</td>", "the best triplet</td>", "the message above the map"):
         assert words in page, words
@@ -72,7 +72,7 @@ def test_the_proposed_area_is_one_that_the_first_stage_takes(urban, job, told, t
     xmin, xmax, ymin, ymax = map(float, found.groups()[:4])
     fitted = {"images": urban.images, "workspace": str(tmp_path / "w"), "extent": (xmin, ymin, xmax, ymax)}
     result = run_stage("epmfit", {**fitted, "extent_crs": found[5]}, told())
-    bounds = [row["shape"].GetEnvelope() for row in rows(result["tiles"])[0]]
+    bounds = [row["shape"].GetEnvelope() for row in rows(result.tiles)[0]]
     assert max(box[1] for box in bounds) - min(box[0] for box in bounds) <= xmax - xmin + 2
 
 
@@ -82,7 +82,7 @@ def test_bad_images_are_named_and_stop_nobody(urban, job, told, tmp_path, write_
     bad = [str(tmp_path / "text.tif"), bare, str(tmp_path / "gone.tif")]
     said = told()
     result = run_stage("inspect", job([bad[0], *urban.images[:2], *bad[1:]]), said)
-    assert (result["n_images"], result["n_pairs"]) == (2, 1)
+    assert (result.n_images, result.n_pairs) == (2, 1)
     assert len(said.warnings) == 3
     page = plain((tmp_path / "page.html").read_text(encoding="utf-8"))
     for name, why in (("text.tif", "Cannot open"), ("no_rpc.tif", "No RPC found"), ("gone.tif", "")):
@@ -107,17 +107,17 @@ def test_images_of_two_places_go_into_one_layer(urban, shared_data, job, told):
     images = [*urban.images[:2], *map(str, sorted((shared_data / "pleiades_pair").glob("img*.tif")))]
     said = told()
     result = run_stage("inspect", job(images), said)
-    footprints, place = rows(result["footprints"])
+    footprints, place = rows(result.footprints)
     assert place == "4326" and len({round(row["shape"].Centroid().GetX()) for row in footprints}) == 2
-    assert len(rows(result["overlaps"])[0]) == 2 and any("The images show 2 places" in note for note in said.notes)
+    assert len(rows(result.overlaps)[0]) == 2 and any("The images show 2 places" in note for note in said.notes)
     assert [row["satellite"] for row in footprints].count("Pleiades 1B") == 2
-    assert ">Pleiades 1B</td>" in Path(result["report"]).read_text(encoding="utf-8")
+    assert ">Pleiades 1B</td>" in Path(result.report).read_text(encoding="utf-8")
 
 
 def test_images_that_show_different_ground(urban, shared_data, job, told):
     said = told()
     result = run_stage("inspect", job([urban.images[0], str(shared_data / "pleiades_pair" / "img_01.tif")]), said)
-    assert result["n_pairs"] == 0 and rows(result["overlaps"])[0] == []
+    assert result.n_pairs == 0 and rows(result.overlaps)[0] == []
     assert any("No two of these 2 images show the same ground" in note for note in said.notes)
 
 
@@ -138,8 +138,8 @@ def test_rows_are_sorted_and_each_choice_has_a_time(shared_data, job, told, tmp_
     """The best pair of the real town's January first, then a third image that fits both; times as runs took."""
     images = [str(shared_data / "jax_068" / f"JAX_068_{name}_RGB.tif") for name in ("013", "012", "009", "011", "001")]
     result = run_stage("inspect", job(images), told())
-    assert [Path(path).name[8:11] for path in result["triplet"]] == ["009", "011", "012"]
-    footprints, _ = rows(result["footprints"])
+    assert [Path(path).name[8:11] for path in result.triplet] == ["009", "011", "012"]
+    footprints, _ = rows(result.footprints)
     assert [row["taken"] for row in footprints] == sorted(row["taken"] for row in footprints)
     page = plain((tmp_path / "page.html").read_text(encoding="utf-8"))
     told_s = [int(each) for each in re.findall(r'<td class="n">(\d+) s</td>', page.split("all images")[0])]

@@ -66,7 +66,7 @@ def test_mixed_pairs_are_as_good_as_the_coarser_sensors_own(urban, coarse, tmp_p
 
 def test_the_frame_of_a_pair_has_the_coarser_pixels(urban, coarse, tmp_path, told):
     made = run_stage("epmfit", {"images": [*urban.images[:2], *coarse[:1]], "workspace": str(tmp_path)}, told())
-    scene = replace(Scene.load(made["scene"]), refinement="polynomial")
+    scene = replace(Scene.load(made.scene), refinement="polynomial")
     wide, fine, other = scene.views  # coarser first
     assert reductions(fine, other) == (1.0, 1.0)
     assert reductions(fine, wide)[1] == 1.0 and reductions(other, wide)[0] == pytest.approx(RATIO, rel=0.1)
@@ -89,14 +89,14 @@ def test_a_mixed_scene_is_the_same_whichever_image_is_named_first(urban, coarse,
     scenes = []
     for number, images in enumerate(([urban.images[0], coarse[2]], [coarse[2], urban.images[0]])):
         made = run_stage("epmfit", {"images": images, "workspace": str(tmp_path / str(number))}, told())
-        scenes.append(json.loads(Path(made["scene"]).read_text(encoding="utf-8")))
+        scenes.append(json.loads(Path(made.scene).read_text(encoding="utf-8")))
     one, other = scenes
     assert [view["image"] for view in one["views"]] == [coarse[2], urban.images[0]]
     for scene in scenes:
         del scene["history"], scene["folder"]  # which names the images as they were given
     assert one == other
     alike = run_stage("epmfit", {"images": urban.images[1::-1], "workspace": str(tmp_path / "alike")}, told())
-    assert [view.image for view in Scene.load(alike["scene"]).views] == urban.images[1::-1]
+    assert [view.image for view in Scene.load(alike.scene).views] == urban.images[1::-1]
 
 
 def test_one_fine_image_makes_no_fine_scene(urban, coarse):
@@ -107,7 +107,7 @@ def test_one_fine_image_makes_no_fine_scene(urban, coarse):
 
 def test_coarse_pairs_cost_more(urban, coarse, tmp_path, told):
     made = run_stage("epmfit", {"images": [*urban.images, *coarse], "workspace": str(tmp_path)}, told())
-    pairs = choose_pairs(Scene.load(made["scene"]))
+    pairs = choose_pairs(Scene.load(made.scene))
     best = pairs[0]
     assert best.gsd_m < 0.7
     worse = replace(best, gsd_m=2.6 * best.gsd_m)

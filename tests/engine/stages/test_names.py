@@ -68,9 +68,9 @@ def named(urban, told, tmp_path_factory):
 @pytest.mark.slow
 def test_the_worst_names_change_nothing(named, urban, urban_run, told):
     made, name = named
-    same, wanted = (gdal.Open(path).ReadAsArray() for path in (made["output"], urban_run.result["output"]))
+    same, wanted = (gdal.Open(path).ReadAsArray() for path in (made.output, urban_run.result.output))
     assert np.array_equal(same, wanted, equal_nan=True)
-    with open(urban.made["gcps"], encoding="utf-8", newline="") as stream:
+    with open(urban.made.gcps, encoding="utf-8", newline="") as stream:
         heads, *rows = csv.reader(stream)
     views = {Path(image).stem: view for image, view in zip(urban.images, WORST)}
     column = heads.index("view")
@@ -79,20 +79,20 @@ def test_the_worst_names_change_nothing(named, urban, urban_run, told):
         csv.writer(stream).writerows([heads, *rows])
     asked = {
         "errormap": {
-            "scene": made["scene"],
-            "view": Scene.load(made["scene"]).views[0].name,
+            "scene": made.scene,
+            "view": Scene.load(made.scene).views[0].name,
             "output": name("error.tif"),
         },
         "comparedsm": {
-            "dsm": made["output"],
+            "dsm": made.output,
             "reference": urban.truth,
-            "others": [made["confidence"]],
+            "others": [made.confidence],
             "error": name("difference.tif"),
         },
-        "exportrpc": {"scene": made["scene"], "rpc_folder": name("rpcs")},
+        "exportrpc": {"scene": made.scene, "rpc_folder": name("rpcs")},
         "checkgcps": {
-            "scene": made["scene"],
-            "dsm": made["output"],
+            "scene": made.scene,
+            "dsm": made.output,
             "gcps": name("gcps.csv"),
             "output": name("gcps.gpkg"),
         },
@@ -100,7 +100,7 @@ def test_the_worst_names_change_nothing(named, urban, urban_run, told):
     for stage, options in asked.items():
         run_stage(stage, {**options, "report": name(f"{stage}.html")}, told())
     for format_ in CAMERA_FORMATS:
-        run_stage("exportcameras", {"scene": made["scene"], "folder": name(format_), "format": format_}, told())
+        run_stage("exportcameras", {"scene": made.scene, "folder": name(format_), "format": format_}, told())
 
     folder = Path(name("")).parent
     pages = sorted(folder.glob("*.html"))
@@ -115,7 +115,7 @@ def test_the_worst_names_change_nothing(named, urban, urban_run, told):
     assert len(styles) > 6
     for style in styles:
         ElementTree.parse(style)  # noqa: S314 - our own
-    json.loads((Path(made["ept"]) / "ept.json").read_text(encoding="utf-8"))
+    json.loads((Path(made.ept) / "ept.json").read_text(encoding="utf-8"))
     assert not list(folder.rglob("*.part*"))
 
 

@@ -125,8 +125,8 @@ def test_the_exported_rpc_is_that_of_the_projected_pixels(delivered, tmp_path, t
     pointed = [view.with_pointing(pointing) for view in scene.views]
     scene.__class__(**{**vars(scene), "views": tuple(pointed)}).save(str(tmp_path / "pointed.json"))
     made = run_stage("exportrpc", {"scene": str(tmp_path / "pointed.json"), "rpc_folder": str(tmp_path / "rpcs")}, said)
-    assert made["max_error"] < 0.01
-    for view, again in zip(pointed, load_views(made["images"])):
+    assert made.max_error < 0.01
+    for view, again in zip(pointed, load_views(made.images)):
         assert again.plane is None, "the VRT lies on no map: the RPC alone places it"
         ground = view.localise(np.array([[50.0, 60.0], [300.0, 350.0]]), 960.0)
         assert np.abs(again.project(ground) - view.project(ground)).max() < 0.01

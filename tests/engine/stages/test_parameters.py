@@ -34,8 +34,8 @@ def test_fitting_takes_them_and_records_them(urban, told, tmp_path):
     }
     small = replace(ENGINE, tiles=TileParameters(sizes_px=(150,)))
     one, many = told(), told()
-    plain = Scene.load(run_stage("epmfit", options, one)["scene"])
-    scene = Scene.load(run_stage("epmfit", options, many, small)["scene"])
+    plain = Scene.load(run_stage("epmfit", options, one).scene)
+    scene = Scene.load(run_stage("epmfit", options, many, small).scene)
     assert len(scene.tiles) > len(plain.tiles) and not any("Reused" in note for note in many.notes)
     assert scene.record_of("epmfit").parameters == {"tiles": {"sizes_px": [150]}}
     assert plain.record_of("epmfit").parameters == {} and scene.fingerprint != plain.fingerprint
@@ -56,8 +56,8 @@ def test_the_pipeline_hands_them_to_its_stages(urban, told, tmp_path):
 def test_matching_and_fusion_take_them(urban_run, told, tmp_path):
     said, path = told(), str(tmp_path / "dsm.tif")
     wide = replace(ENGINE, tiles=replace(ENGINE.tiles, cell_gsd=8.0, few_cells_percent=101.0))
-    made = run_stage("dsmfuse", {"scene": urban_run.result["scene"], "output": path}, said, wide)
-    assert made["resolution"] > 3 and any("% of the cells have a height" in text for text in said.warnings)
+    made = run_stage("dsmfuse", {"scene": urban_run.result.scene, "output": path}, said, wide)
+    assert made.resolution > 3 and any("% of the cells have a height" in text for text in said.warnings)
     nothing = replace(ENGINE, tiles=replace(ENGINE.tiles, least_matched=10**9))
     options = {"scene": str(urban_run.workspace / "refined.json"), "output_scene": str(tmp_path / "done.json")}
     with pytest.raises(EmptyResultError, match="Matching found heights for only"):

@@ -33,47 +33,47 @@ def compared(path, truth, told):
 )
 def test_accuracy_against_the_true_surface(request, told, capsys, kind, nmad, within_1, within_5, valid):
     run = request.getfixturevalue(f"{kind}_run")
-    found = compared(run.result["output"], run.scene.truth, told)
-    share = found["completeness_by_threshold"]
+    found = compared(run.result.output, run.scene.truth, told)
+    share = found.completeness_by_threshold
     with capsys.disabled():
         print(
-            f"\n{kind}: NMAD {found['nmad']:.3f} m, within 1 m {share['1']:.1f} %, 5 m {share['5']:.1f} %, valid "
-            f"{found['valid']:.2f} %, moved by {found['dx']:.2f}, {found['dy']:.2f}, {found['dz']:.2f} m"
+            f"\n{kind}: NMAD {found.nmad:.3f} m, within 1 m {share['1']:.1f} %, 5 m {share['5']:.1f} %, valid "
+            f"{found.valid:.2f} %, moved by {found.dx:.2f}, {found.dy:.2f}, {found.dz:.2f} m"
         )
-    assert found["nmad"] < nmad and share["1"] > within_1 and share["5"] > within_5 and found["valid"] > valid
+    assert found.nmad < nmad and share["1"] > within_1 and share["5"] > within_5 and found.valid > valid
     # What alignment took out is the pointing error that all views share: a few px.
-    assert np.hypot(found["dx"], found["dy"]) < 4 and abs(found["dz"]) < 8
+    assert np.hypot(found.dx, found.dy) < 4 and abs(found.dz) < 8
 
 
 def test_tiles_do_not_show(urban, urban_run, mountains_run, told):
     """Along the borders of the four tiles heights are as good as anywhere."""
-    (height,), transform = bands(urban_run.result["output"])
-    scene = Scene.load(urban_run.result["scene"])
+    (height,), transform = bands(urban_run.result.output)
+    scene = Scene.load(urban_run.result.scene)
     assert len(scene.tiles) >= 4
-    found = compared(urban_run.result["output"], urban.truth, told)
+    found = compared(urban_run.result.output, urban.truth, told)
     west, cell, _, north, _, _ = transform
     truth_west, truth_cell, _, truth_north, _, _ = urban.transform
     rows, cols = np.indices(height.shape)
-    x = west + (cols + 0.5) * cell + found["dx"]
-    y = north - (rows + 0.5) * cell + found["dy"]
+    x = west + (cols + 0.5) * cell + found.dx
+    y = north - (rows + 0.5) * cell + found.dy
     tc, tr = ((x - truth_west) / truth_cell).astype(int), ((truth_north - y) / truth_cell).astype(int)
     inside = (tc >= 0) & (tr >= 0) & (tc < urban.surface.shape[1]) & (tr < urban.surface.shape[0])
     error = np.where(
-        inside, height + found["dz"] - urban.surface[np.where(inside, tr, 0), np.where(inside, tc, 0)], np.nan
+        inside, height + found.dz - urban.surface[np.where(inside, tr, 0), np.where(inside, tc, 0)], np.nan
     )
     near = np.zeros(height.shape, bool)
     for tile in scene.tiles:
         for edge in (tile.bounds[0], tile.bounds[2]):
-            near |= np.abs(x - found["dx"] - edge) < 2.5
+            near |= np.abs(x - found.dx - edge) < 2.5
         for edge in (tile.bounds[1], tile.bounds[3]):
-            near |= np.abs(y - found["dy"] - edge) < 2.5
+            near |= np.abs(y - found.dy - edge) < 2.5
     near &= inside
     assert near.sum() > 500
     good = [(np.abs(error[part]) < 1).mean() for part in (near, inside & ~near)]
     assert good[0] > good[1] - 0.1
     assert np.isfinite(error[near]).mean() > np.isfinite(error[inside & ~near]).mean() - 0.05
     # Nor is there a step: neighbouring cells differ across a border as they do 5 to 15 m beside it.
-    for axis, ends, place in ((1, (0, 2), x - found["dx"]), (0, (1, 3), y - found["dy"])):
+    for axis, ends, place in ((1, (0, 2), x - found.dx), (0, (1, 3), y - found.dy)):
         steps = np.abs(np.diff(height, axis=axis))
         middle = (place[:, 1:] + place[:, :-1]) / 2 if axis else (place[1:] + place[:-1]) / 2
         across, beside = np.zeros(steps.shape, bool), np.zeros(steps.shape, bool)
@@ -86,9 +86,9 @@ def test_tiles_do_not_show(urban, urban_run, mountains_run, told):
 
 def test_products_lie_on_each_other(urban_run):
     result = urban_run.result
-    (height,), transform = bands(result["output"])
-    (count, spread, score, filled, error, le90), other = bands(result["confidence"])
-    (ortho,), third = bands(result["ortho"])
+    (height,), transform = bands(result.output)
+    (count, spread, score, filled, error, le90), other = bands(result.confidence)
+    (ortho,), third = bands(result.ortho)
     assert transform == other == third and height.shape == count.shape == ortho.shape
     known = np.isfinite(height)
     counted = np.isfinite(count)
@@ -100,26 +100,26 @@ def test_products_lie_on_each_other(urban_run):
     assert (error[known] > 0.05).all() and np.isnan(error[~known]).all()
     assert (le90[known] > error[known]).all() and np.isnan(le90[~known]).all()
     assert np.isfinite(ortho[known]).mean() > 0.95 and np.isnan(ortho[~known]).all()
-    assert result["valid"] == known.sum()
-    assert not [name for name in os.listdir(os.path.dirname(result["output"])) if ".part" in name]
+    assert result.valid == known.sum()
+    assert not [name for name in os.listdir(os.path.dirname(result.output)) if ".part" in name]
 
 
 def test_the_dsm_says_what_it_is(urban_run, urban):
-    dataset = gdal.Open(urban_run.result["output"])
+    dataset = gdal.Open(urban_run.result.output)
     assert dataset.GetSpatialRef().GetAuthorityCode(None) == urban.crs.split(":")[1]
     assert "ellipsoid" in dataset.GetRasterBand(1).GetDescription() and dataset.GetRasterBand(1).GetUnitType() == "m"
     assert "ellipsoid" in dataset.GetMetadataItem("VERTICAL_DATUM") and dataset.GetMetadataItem("REPM_ENGINE")
     assert dataset.GetGeoTransform()[0] % 0.5 == 0 and dataset.GetGeoTransform()[1] == 0.5
-    stated = Scene.load(urban_run.result["scene"]).pointing.height_uncertainty_m / 2
+    stated = Scene.load(urban_run.result.scene).pointing.height_uncertainty_m / 2
     assert stated > 1 and float(dataset.GetMetadataItem("REPM_HEIGHT_DEVIATION")) == pytest.approx(stated, abs=1e-3)
     dataset = None
 
 
 def test_the_cloud_lies_on_the_dsm(urban_run):
-    (height,), (west, cell, _, north, _, _) = bands(urban_run.result["output"])
-    with laspy.open(urban_run.result["cloud"]) as reader:
+    (height,), (west, cell, _, north, _, _) = bands(urban_run.result.output)
+    with laspy.open(urban_run.result.cloud) as reader:
         points = reader.read()
-    assert len(points.x) == urban_run.result["points"] > 50000
+    assert len(points.x) == urban_run.result.points > 50000
     cols = np.floor((np.asarray(points.x) - west) / cell).astype(int)
     rows = np.floor((north - np.asarray(points.y)) / cell).astype(int)
     inside = (cols >= 0) & (rows >= 0) & (cols < height.shape[1]) & (rows < height.shape[0])
@@ -134,15 +134,15 @@ def test_the_ept_has_the_clouds_points_and_the_mesh_the_dsms_heights(urban_run):
         rows = np.vstack([np.column_stack([part.x, part.y, part.z]) for part in map(laspy.read, paths)])
         return rows[np.lexsort(rows.T)]
 
-    folder = Path(urban_run.result["ept"])
-    ours, theirs = points(sorted(folder.glob("ept-data/*.laz"))), points([urban_run.result["cloud"]])
+    folder = Path(urban_run.result.ept)
+    ours, theirs = points(sorted(folder.glob("ept-data/*.laz"))), points([urban_run.result.cloud])
     assert ours.shape == theirs.shape and np.abs(ours - theirs).max() < 1e-6
-    assert json.loads((folder / "ept.json").read_text())["points"] == urban_run.result["points"]
-    assert (folder / "ept.qml").exists() and Path(urban_run.result["mesh"]).with_suffix(".qml").exists()
+    assert json.loads((folder / "ept.json").read_text())["points"] == urban_run.result.points
+    assert (folder / "ept.qml").exists() and Path(urban_run.result.mesh).with_suffix(".qml").exists()
 
-    (height,), (west, cell, _, north, _, _) = bands(urban_run.result["output"])
+    (height,), (west, cell, _, north, _, _) = bands(urban_run.result.output)
     rows, cols = np.nonzero(np.isfinite(height))
-    head, body = Path(urban_run.result["mesh"]).read_bytes().split(b"end_header\n", 1)
+    head, body = Path(urban_run.result.mesh).read_bytes().split(b"end_header\n", 1)
     assert b"element vertex %d\n" % len(rows) in head
     np.testing.assert_array_equal(
         np.frombuffer(body, "<f8", 3 * len(rows)).reshape(-1, 3),
@@ -156,7 +156,7 @@ def test_an_ept_comes_without_a_cloud_too(urban_run, tmp_path, told):
     fused = run_stage(
         "dsmfuse",
         {
-            "scene": urban_run.result["scene"],
+            "scene": urban_run.result.scene,
             "output": str(tmp_path / "dsm.tif"),
             "resolution": 1.0,
             "ept": str(tmp_path / "ept"),
@@ -167,8 +167,8 @@ def test_an_ept_comes_without_a_cloud_too(urban_run, tmp_path, told):
         },
         said,
     )
-    assert fused["cloud"] is None and fused["ept"] == str(tmp_path / "ept")
-    assert json.loads((tmp_path / "ept" / "ept.json").read_text())["points"] == fused["points"] > 10000
+    assert fused.cloud is None and fused.ept == str(tmp_path / "ept")
+    assert json.loads((tmp_path / "ept" / "ept.json").read_text())["points"] == fused.points > 10000
     assert any("cells (MESH_VERTICES)" in note for note in said.notes)
     assert not list(tmp_path.rglob("*.laz.*")) and not list(urban_run.workspace.glob(".fusion*"))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dsm.qml", "dsm.tif", "ept", "m.ply", "m.qml"]
@@ -178,15 +178,15 @@ def test_an_ept_comes_without_a_cloud_too(urban_run, tmp_path, told):
 @pytest.mark.long
 def test_a_cloud_as_ply_with_normals_comes_with_an_ept(urban_run, tmp_path, told):
     files = {"output": str(tmp_path / "d.tif"), "cloud": str(tmp_path / "c.ply"), "ept": str(tmp_path / "e")}
-    wanted = {"scene": urban_run.result["scene"], "resolution": 0.5, "cloud_normals": True, "workers": 1, **files}
+    wanted = {"scene": urban_run.result.scene, "resolution": 0.5, "cloud_normals": True, "workers": 1, **files}
     fused = run_stage("dsmfuse", wanted, told())
-    assert Path(fused["output"]).read_bytes() == Path(urban_run.result["output"]).read_bytes()
-    assert json.loads((tmp_path / "e" / "ept.json").read_text())["points"] == fused["points"]
+    assert Path(fused.output).read_bytes() == Path(urban_run.result.output).read_bytes()
+    assert json.loads((tmp_path / "e" / "ept.json").read_text())["points"] == fused.points
     head, body = (tmp_path / "c.ply").read_bytes().split(b"end_header\n", 1)
-    assert b"element vertex %d\n" % fused["points"] in head
+    assert b"element vertex %d\n" % fused.points in head
     names = ["nx", "ny", "nz", "score"]
     points = np.frombuffer(body, [("xyz", "<f8", 3), *((name, "<f4") for name in names)])
-    las = laspy.read(urban_run.result["cloud"])
+    las = laspy.read(urban_run.result.cloud)
     assert np.abs(points["xyz"] - las.xyz).max() < 0.00051 and (points["score"] > 0).mean() > 0.99
     assert np.allclose(points["nx"] ** 2 + points["ny"] ** 2 + points["nz"] ** 2, 1, atol=1e-5)
     assert np.median(points["nz"]) > 0.95 and 0.002 < (points["nz"] == 0).mean() < 0.2  # level ground, and walls
@@ -195,9 +195,9 @@ def test_a_cloud_as_ply_with_normals_comes_with_an_ept(urban_run, tmp_path, told
 
 def test_the_orthophoto_shows_the_true_brightness_where_it_lies(urban_run, urban):
     """Each cell's brightness is that of the nearest pixel of one of the views that see it there."""
-    (height,), (west, cell, _, north, _, _) = bands(urban_run.result["output"])
-    (ortho,), _ = bands(urban_run.result["ortho"])
-    scene = Scene.load(urban_run.result["scene"])
+    (height,), (west, cell, _, north, _, _) = bands(urban_run.result.output)
+    (ortho,), _ = bands(urban_run.result.ortho)
+    scene = Scene.load(urban_run.result.scene)
     rows, cols = np.nonzero(np.isfinite(ortho))
     pick = np.random.default_rng(0).permutation(len(rows))[:3000]
     rows, cols = rows[pick], cols[pick]
@@ -226,21 +226,21 @@ def test_the_orthophoto_shows_the_true_brightness_where_it_lies(urban_run, urban
 
 def test_layers_and_numbers(urban_run):
     result = urban_run.result
-    source = ogr.Open(result["tie_points"])
-    assert source.GetLayer(0).GetFeatureCount() == result["n_tie_points"] > 100
+    source = ogr.Open(result.tie_points)
+    assert source.GetLayer(0).GetFeatureCount() == result.n_tie_points > 100
     heights = [feature["height"] for feature in source.GetLayer(0)]
     residuals = [feature["residual"] for feature in source.GetLayer(0)]
     source = None
     low, high = urban_run.scene.height_range
     assert low - 8 < np.percentile(heights, 1) and np.percentile(heights, 99) < high + 8
     assert np.median(residuals) < 0.25
-    source = ogr.Open(result["tiles"])
+    source = ogr.Open(result.tiles)
     layer = source.GetLayer(0)
     assert layer.GetFeatureCount() >= 4
-    assert max(feature["worst_max"] for feature in layer) == pytest.approx(result["max_error"], rel=1e-6)
+    assert max(feature["worst_max"] for feature in layer) == pytest.approx(result.max_error, rel=1e-6)
     layer = source = None
-    assert result["rmse"] <= result["max_error"] < 5
-    assert os.path.getsize(result["report"]) > 2000 and set(result["seconds"]) == {
+    assert result.rmse <= result.max_error < 5
+    assert os.path.getsize(result.report) > 2000 and set(result.seconds) == {
         "epmfit",
         "refine",
         "reconstruct",
@@ -258,7 +258,7 @@ def test_progress_rises_to_the_end_and_names_what_it_does(urban_run):
 def test_ties_are_where_the_true_surface_is(mountains_run):
     """Heights of tie points against the true DSM, but for the shift that all views share."""
     scene = mountains_run.scene
-    source = ogr.Open(mountains_run.result["tie_points"])
+    source = ogr.Open(mountains_run.result.tie_points)
     ties = np.array([[f.geometry().GetX(), f.geometry().GetY(), f["height"]] for f in source.GetLayer(0)])
     source = None
     x, cell, _, y, _, _ = scene.transform
@@ -273,20 +273,20 @@ def test_stages_one_by_one_give_the_same_dsm(urban, urban_run, tmp_path, told):
     fitted = run_stage("epmfit", {"images": urban.images, "workspace": str(tmp_path), "tile_size": 256}, told())
     refined = run_stage(
         "refine",
-        {"scene": fitted["scene"], "output_scene": str(tmp_path / "refined.json"), "write_images": False},
+        {"scene": fitted.scene, "output_scene": str(tmp_path / "refined.json"), "write_images": False},
         told(),
     )
     done = run_stage(
         "reconstruct",
-        {"scene": refined["output_scene"], "output_scene": str(tmp_path / "done.json"), "workers": 1},
+        {"scene": refined.output_scene, "output_scene": str(tmp_path / "done.json"), "workers": 1},
         told(),
     )
     fused = run_stage(
         "dsmfuse",
-        {"scene": done["output_scene"], "output": str(tmp_path / "dsm.tif"), "resolution": 0.5, "workers": 1},
+        {"scene": done.output_scene, "output": str(tmp_path / "dsm.tif"), "resolution": 0.5, "workers": 1},
         told(),
     )
-    ours, theirs = bands(fused["output"]), bands(urban_run.result["output"])
+    ours, theirs = bands(fused.output), bands(urban_run.result.output)
     assert ours[1] == theirs[1]
     np.testing.assert_array_equal(ours[0], theirs[0])
 
@@ -314,14 +314,14 @@ def test_two_workers_give_the_same_dsm(urban, urban_run, tmp_path, told):
         told(),
     )
     for name in ("output", "confidence", "ortho"):
-        ours, theirs = bands(result[name]), bands(urban_run.result[name])
+        ours, theirs = bands(getattr(result, name)), bands(getattr(urban_run.result, name))
         assert ours[1] == theirs[1]
         np.testing.assert_array_equal(ours[0], theirs[0])
-    a, b = (laspy.read(r["cloud"]) for r in (result, urban_run.result))
+    a, b = (laspy.read(r.cloud) for r in (result, urban_run.result))
     np.testing.assert_array_equal(a.xyz, b.xyz)
-    assert Path(result["mesh"]).read_bytes() == Path(urban_run.result["mesh"]).read_bytes()
-    for path in Path(urban_run.result["ept"]).rglob("*.*"):
-        assert path.read_bytes() == (Path(result["ept"]) / path.relative_to(urban_run.result["ept"])).read_bytes()
+    assert Path(result.mesh).read_bytes() == Path(urban_run.result.mesh).read_bytes()
+    for path in Path(urban_run.result.ept).rglob("*.*"):
+        assert path.read_bytes() == (Path(result.ept) / path.relative_to(urban_run.result.ept)).read_bytes()
 
 
 def test_an_extent_cuts_the_dsm(urban, tmp_path, told):
@@ -340,11 +340,11 @@ def test_an_extent_cuts_the_dsm(urban, tmp_path, told):
         },
         told(),
     )
-    (height,), (west, cell, _, north, _, _) = bands(result["output"])
+    (height,), (west, cell, _, north, _, _) = bands(result.output)
     assert west >= extent[0] - 1 and north <= extent[3] + 1
     assert west + height.shape[1] * cell <= extent[2] + 1 and north - height.shape[0] * cell >= extent[1] - 1
-    found = compared(result["output"], urban.truth, told)
-    assert found["nmad"] < 1.0
+    found = compared(result.output, urban.truth, told)
+    assert found.nmad < 1.0
 
 
 @pytest.mark.parametrize("crs", ("EPSG:32630", "EPSG:2154"))
@@ -354,7 +354,7 @@ def test_another_crs_has_no_seams_and_the_same_heights(urban, urban_run, tmp_pat
     fused = run_stage(
         "dsmfuse",
         {
-            "scene": urban_run.result["scene"],
+            "scene": urban_run.result.scene,
             "output": str(tmp_path / "dsm.tif"),
             "crs": crs,
             "resolution": 0.5,
@@ -362,8 +362,8 @@ def test_another_crs_has_no_seams_and_the_same_heights(urban, urban_run, tmp_pat
         },
         told(),
     )
-    (height,), (west, cell, _, north, _, _) = bands(fused["output"])
-    (own,), (own_west, _, _, own_north, _, _) = bands(urban_run.result["output"])
+    (height,), (west, cell, _, north, _, _) = bands(fused.output)
+    (own,), (own_west, _, _, own_north, _, _) = bands(urban_run.result.output)
     from repm_qgis.geometry.frames import geodetic_from_projected
 
     rows, cols = np.indices(own.shape)
@@ -383,7 +383,7 @@ def test_another_crs_has_no_seams_and_the_same_heights(urban, urban_run, tmp_pat
     assert (lost & core).sum() / core.sum() < 0.005
     assert np.nanmedian(np.abs(other - own)) < 0.15
     # Cells within a millimetre of a border belong to both tiles.
-    assert fused["valid"] == pytest.approx(np.isfinite(height).sum(), abs=20)
+    assert fused.valid == pytest.approx(np.isfinite(height).sum(), abs=20)
 
 
 @pytest.mark.slow
@@ -393,11 +393,11 @@ def test_heights_above_a_geoid_differ_by_projs_undulation_at_every_cell(urban_ru
 
     if not TransformerGroup("EPSG:4979", "EPSG:4326+5773", always_xy=True, allow_ballpark=False).transformers:
         pytest.skip("PROJ's EGM96 grid is not installed")
-    scene, said = Scene.load(urban_run.result["scene"]), told()
+    scene, said = Scene.load(urban_run.result.scene), told()
     fused = run_stage(
         "dsmfuse",
         {
-            "scene": urban_run.result["scene"],
+            "scene": urban_run.result.scene,
             "output": str(tmp_path / "dsm.tif"),
             "resolution": 0.5,
             "cloud": str(tmp_path / "c.laz"),
@@ -405,7 +405,7 @@ def test_heights_above_a_geoid_differ_by_projs_undulation_at_every_cell(urban_ru
         },
         said,
     )
-    (ellipsoidal,), transform = bands(urban_run.result["output"])
+    (ellipsoidal,), transform = bands(urban_run.result.output)
     (geoid,), same = bands(str(tmp_path / "dsm.tif"))
     assert same == transform and np.array_equal(np.isnan(ellipsoidal), np.isnan(geoid))
     rows, cols = np.indices(geoid.shape)
@@ -421,8 +421,8 @@ def test_heights_above_a_geoid_differ_by_projs_undulation_at_every_cell(urban_ru
     crs = pyproj.CRS.from_wkt(dataset.GetSpatialRef().ExportToWkt(["FORMAT=WKT2_2018"]))
     assert crs.sub_crs_list[1].name == "EGM96 height" and dataset.GetMetadataItem("VERTICAL_DATUM") == "EGM96 height"
     dataset = None
-    assert any("EGM96 height" in note for note in said.notes) and fused["vertical_datum"] == "EGM96 height"
-    old, new = laspy.read(urban_run.result["cloud"]), laspy.read(str(tmp_path / "c.laz"))
+    assert any("EGM96 height" in note for note in said.notes) and fused.vertical_datum == "EGM96 height"
+    old, new = laspy.read(urban_run.result.cloud), laspy.read(str(tmp_path / "c.laz"))
     assert len(old) == len(new)
     assert np.abs(old.z - new.z - undulation[known].mean()).max() < 0.02
     assert "EGM96" in new.header.parse_crs().to_wkt()
@@ -501,10 +501,10 @@ def test_holes_are_filled_on_the_scenes_dem_and_said(urban, tmp_path, pipeline):
     dem = str(tmp_path / "dem.tif")
     gdal.Warp(dem, urban.truth, xRes=20, yRes=20, resampleAlg="average")
     run = pipeline(urban, tmp_path, images=urban.images[:2], dem=dem, fill="all", resolution=0.5, workers=1)
-    (height,), transform = bands(run.result["output"])
-    source = bands(run.result["confidence"])[0][3]
+    (height,), transform = bands(run.result.output)
+    source = bands(run.result.confidence)[0][3]
     on_dem = source == 3
-    assert on_dem.sum() > 50 and run.result["interpolated"] == np.isin(source, (2, 3)).sum()
+    assert on_dem.sum() > 50 and run.result.interpolated == np.isin(source, (2, 3)).sum()
     assert np.isfinite(height[on_dem]).all() and np.isnan(source[np.isnan(height)]).all()
     west, cell, _, north, _, _ = transform
     rows, columns = height.shape

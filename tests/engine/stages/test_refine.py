@@ -21,10 +21,10 @@ def test_refined_images(urban, tmp_path, told, model):
         told(),
     )
     result = run_stage(
-        "refine", {"scene": fitted["scene"], "output_scene": str(tmp_path / "refined.json"), "model": model}, told()
+        "refine", {"scene": fitted.scene, "output_scene": str(tmp_path / "refined.json"), "model": model}, told()
     )
-    scene = Scene.load(result["output_scene"])
-    assert scene.refinement == model and result["rmse"] <= result["max_error"] < 0.2
+    scene = Scene.load(result.output_scene)
+    assert scene.refinement == model and result.rmse <= result.max_error < 0.2
     for tile in scene.tiles:
         for name, seen in tile.views.items():
             dataset = gdal.Open(os.path.join(tmp_path, seen.image))
@@ -55,17 +55,17 @@ def test_the_polynomial_is_the_better_the_larger_the_error(mountains, tmp_path, 
         model: run_stage(
             "refine",
             {
-                "scene": fitted["scene"],
+                "scene": fitted.scene,
                 "output_scene": str(tmp_path / f"{model}.json"),
                 "model": model,
                 "write_images": False,
             },
             told(),
-        )["rmse"]
+        ).rmse
         for model in ("none", "homography", "polynomial")
     }
     assert rmse["polynomial"] <= rmse["homography"] * 1.0001 <= rmse["none"] * 1.001
-    assert rmse["none"] == pytest.approx(fitted["rmse"], rel=0.01)
+    assert rmse["none"] == pytest.approx(fitted.rmse, rel=0.01)
 
 
 @pytest.mark.long
@@ -73,15 +73,15 @@ def test_the_number_of_workers_changes_no_byte(urban, tmp_path, told):
     """Of the maps, by both models, and of the images."""
     area = {"altitude_min": 150.0, "altitude_max": 260.0, "tile_size": 256}
     fitted = run_stage("epmfit", {"images": urban.images[:2], "workspace": str(tmp_path), **area}, told())
-    assert len(Scene.load(fitted["scene"]).tiles) > 3  # or no worker would be started
+    assert len(Scene.load(fitted.scene).tiles) > 3  # or no worker would be started
     made = []
     for workers in (1, 2):
         result = run_stage(
             "refine",
-            {"scene": fitted["scene"], "output_scene": str(tmp_path / f"{workers}.json"), "workers": workers},
+            {"scene": fitted.scene, "output_scene": str(tmp_path / f"{workers}.json"), "workers": workers},
             told(),
         )
-        seen = [view for tile in Scene.load(result["output_scene"]).tiles for view in tile.views.values()]
+        seen = [view for tile in Scene.load(result.output_scene).tiles for view in tile.views.values()]
         images = [open(view.image, "rb").read() for view in seen]
         made.append(([view.refined.to_mapping() for view in seen], images))
     assert made[0] == made[1]

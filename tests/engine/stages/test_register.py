@@ -79,7 +79,7 @@ def fuse(scene, folder, told, **more):
 @pytest.mark.long
 def test_the_dsm_lies_on_the_reference_without_any_alignment(registered, tmp_path, told):
     made, _, reference = registered
-    dsm = fuse(made["output_scene"], tmp_path / "registered", told)["output"]
+    dsm = fuse(made.output_scene, tmp_path / "registered", told).output
     left = score_files(dsm, reference, "3d").alignment
     assert np.hypot(left.dx, left.dy) < 0.1 and abs(left.dz) < 0.06
     assert abs(score_files(dsm, reference).metrics.bias) < 0.06
@@ -87,12 +87,12 @@ def test_the_dsm_lies_on_the_reference_without_any_alignment(registered, tmp_pat
 
 def test_the_shift_is_told_with_honest_deviations(registered, mountains, matched, tmp_path, told):
     made, said, _ = registered
-    figures = Scene.load(made["output_scene"]).registration
-    moved = np.array([made["east"], made["north"], made["up"]])
-    before = score_files(fuse(matched, tmp_path / "before", told)["output"], mountains.truth, "3d").alignment
+    figures = Scene.load(made.output_scene).registration
+    moved = np.array([made.east, made.north, made.up])
+    before = score_files(fuse(matched, tmp_path / "before", told).output, mountains.truth, "3d").alignment
     wanted = MOVED + [before.dx, before.dy, before.dz]
     assert moved == pytest.approx(wanted, abs=0.1)
-    assert 0.001 < made["east_deviation"] < 0.05 and 0.001 < made["up_deviation"] < 0.05
+    assert 0.001 < made.east_deviation < 0.05 and 0.001 < made.up_deviation < 0.05
     assert figures.latest.moved == tuple(moved) and len(figures.determined) == 2 and figures.pointing_px < 0.01
     assert any(text.startswith("The scene was moved by (") for text in said.notes)
     # The run's report and the registration's give one figure for what is to be expected without a reference.
@@ -103,7 +103,7 @@ def test_the_shift_is_told_with_honest_deviations(registered, mountains, matched
 def test_images_see_the_moved_ground_where_they_saw_the_ground(registered, matched):
     """All that uses the pointing follows: orthophotos, exports, corrected RPCs."""
     made, _, _ = registered
-    old, new = Scene.load(matched), Scene.load(made["output_scene"])
+    old, new = Scene.load(matched), Scene.load(made.output_scene)
     shift = new.registration.latest
     rng = np.random.default_rng(1)
     box, (low, high) = old.tiles[0].bounds, old.tiles[0].altitudes
@@ -124,57 +124,57 @@ def test_every_product_of_the_scene_moves(registered, matched, tmp_path, told):
     """Point by point: heights are the same, and lie elsewhere."""
     made, _, _ = registered
     laspy = pytest.importorskip("laspy")
-    shift = np.array(Scene.load(made["output_scene"]).registration.shift.moved)
+    shift = np.array(Scene.load(made.output_scene).registration.shift.moved)
     clouds = []
-    for name, scene in (("before", matched), ("after", made["output_scene"])):
+    for name, scene in (("before", matched), ("after", made.output_scene)):
         cloud = str(tmp_path / name / "cloud.laz")
         fuse(scene, tmp_path / name, told, cloud=cloud)
         clouds.append(laspy.read(cloud).xyz.mean(axis=0))
     assert clouds[1] - clouds[0] == pytest.approx(shift, abs=0.15)
-    old, new = (read_points(Scene.load(path).tie_points, ("height",)) for path in (matched, made["output_scene"]))
+    old, new = (read_points(Scene.load(path).tie_points, ("height",)) for path in (matched, made.output_scene))
     np.testing.assert_allclose(new - old, np.tile(shift, (len(old), 1)), atol=1e-6)
-    first, second = (Scene.load(path).tiles[0] for path in (matched, made["output_scene"]))
+    first, second = (Scene.load(path).tiles[0] for path in (matched, made.output_scene))
     assert np.subtract(second.bounds[:2], first.bounds[:2]) == pytest.approx(shift[:2], abs=1e-6)
     assert second.heights[0].file == first.heights[0].file and second.heights[0].ground == first.bounds
 
 
 def test_products_show_before_and_after(registered):
     made, _, _ = registered
-    with opened(made["differences"]) as dataset:
+    with opened(made.differences) as dataset:
         before, after = (read(dataset, None, band) for band in (1, 2))
         assert "before" in dataset.GetRasterBand(1).GetDescription()
     spread = [np.nanstd(band) for band in (before, after)]
     assert spread[1] < 0.5 * spread[0] and abs(np.nanmedian(after)) < 0.1 < abs(np.nanmedian(before))
-    rows = read_points(made["offsets"], ("east", "north", "up"))[:, 2:]
+    rows = read_points(made.offsets, ("east", "north", "up"))[:, 2:]
     assert len(rows) >= 4
-    assert np.median(rows, axis=0) == pytest.approx([made["east"], made["north"], made["up"]], abs=0.3)
-    page = Path(made["report"]).read_text(encoding="utf-8")
-    assert f"{made['up']:+.3f}" in page and "moved.tif" in page and "standard deviation" in page
+    assert np.median(rows, axis=0) == pytest.approx([made.east, made.north, made.up], abs=0.3)
+    page = Path(made.report).read_text(encoding="utf-8")
+    assert f"{made.up:+.3f}" in page and "moved.tif" in page and "standard deviation" in page
     # Six metres to the side and nine up are no more than RPCs without a known promise let expect.
     assert "is more than expected" not in page and "nine of ten scenes have errors below" in page
-    assert Path(made["differences"]).with_suffix(".qml").exists() and Path(made["offsets"]).with_suffix(".qml").exists()
+    assert Path(made.differences).with_suffix(".qml").exists() and Path(made.offsets).with_suffix(".qml").exists()
 
 
 def test_a_second_run_reuses_the_first_and_a_changed_reference_does_not(matched, reference, tmp_path, told):
     path = reference("changing.tif")
     options = {"scene": matched, "reference": [path], "output_scene": str(tmp_path / "r.json"), **ELLIPSOID}
     first, said = run_stage("register", options, told()), told()
-    assert run_stage("register", options, said)["up"] == first["up"]
+    assert run_stage("register", options, said).up == first.up
     assert any(text.startswith("Reused the registration") for text in said.notes)
     reference("changing.tif", MOVED + [0, 0, 1.0])
-    assert run_stage("register", options, told())["up"] == pytest.approx(first["up"] + 1.0, abs=0.01)
+    assert run_stage("register", options, told()).up == pytest.approx(first.up + 1.0, abs=0.01)
 
 
 def test_registering_twice_is_the_sum_of_both(registered, reference, tmp_path, told):
     made, _, _ = registered
     path = reference("second.tif", MOVED + [2.0, 1.0, -3.0])
-    options = {"scene": made["output_scene"], "reference": [path], "workers": 1, **ELLIPSOID}
+    options = {"scene": made.output_scene, "reference": [path], "workers": 1, **ELLIPSOID}
     again = run_stage("register", {**options, "output_scene": str(tmp_path / "again.json")}, told())
-    assert [again["east"], again["north"], again["up"]] == pytest.approx([2.0, 1.0, -3.0], abs=0.05)
-    scene = Scene.load(again["output_scene"])
-    first = Scene.load(made["output_scene"]).registration.shift.moved
+    assert [again.east, again.north, again.up] == pytest.approx([2.0, 1.0, -3.0], abs=0.05)
+    scene = Scene.load(again.output_scene)
+    first = Scene.load(made.output_scene).registration.shift.moved
     assert np.array(scene.registration.shift.moved) == pytest.approx(np.array(first) + scene.registration.latest.moved)
-    dsm = fuse(again["output_scene"], tmp_path / "fused", told)["output"]
+    dsm = fuse(again.output_scene, tmp_path / "fused", told).output
     assert abs(score_files(dsm, path).metrics.bias) < 0.06
 
 
@@ -199,8 +199,8 @@ def test_ground_in_stable_polygons_alone_counts(matched, reference, tmp_path, to
     right = run_stage(
         "register", {**options, "reference": [reference("whole.tif")], "output_scene": str(tmp_path / "c.json")}, told()
     )
-    assert inside["up"] == pytest.approx(right["up"], abs=0.1)
-    assert whole["up"] > right["up"] + 0.3
+    assert inside.up == pytest.approx(right.up, abs=0.1)
+    assert whole.up > right.up + 0.3
 
 
 @pytest.mark.long
@@ -214,7 +214,7 @@ def test_references_that_contradict_each_other_are_a_warning(matched, reference,
     single = run_stage(
         "register", {**options, "reference": paths[:1], "output_scene": str(tmp_path / "s.json")}, told()
     )
-    assert made["up"] == pytest.approx(single["up"] + 1.0, abs=0.2)
+    assert made.up == pytest.approx(single.up + 1.0, abs=0.2)
 
 
 @pytest.mark.long
@@ -228,7 +228,7 @@ def test_ground_control_points_count_by_their_noise(matched, reference, tmp_path
         replace(scene, pointing=replace(scene.pointing, control_information=information)).save(path)
         options = {"scene": path, "reference": [reference("gcp.tif")], "workers": 1, **ELLIPSOID}
         found[name] = run_stage("register", {**options, "output_scene": str(tmp_path / f"{name}_r.json")}, told())
-    assert abs(found["good"]["up"]) < 0.5 and found["poor"]["up"] > 5.0
+    assert abs(found["good"].up) < 0.5 and found["poor"].up > 5.0
 
 
 def test_a_datum_that_nobody_states_is_found(mountains, registered, matched, reference, tmp_path, told):
@@ -244,8 +244,8 @@ def test_a_datum_that_nobody_states_is_found(mountains, registered, matched, ref
     dataset = None
     options = {"scene": matched, "reference": [path], "output_scene": str(tmp_path / "r.json"), "workers": 1}
     made = run_stage("register", options, said)
-    as_known = [registered[0][name] for name in ("east", "north", "up")] - MOVED + [*MOVED[:2], 2.0]
-    assert [made[name] for name in ("east", "north", "up")] == pytest.approx(as_known, abs=0.1)
+    as_known = [registered[0].east, registered[0].north, registered[0].up] - MOVED + [*MOVED[:2], 2.0]
+    assert [made.east, made.north, made.up] == pytest.approx(as_known, abs=0.1)
     text = next(text for text in said.notes + said.warnings if "does not say what its heights refer to" in text)
     assert (text in said.warnings) == ("is not installed" in text)  # then another geoid stands in for EGM2008
 
@@ -286,9 +286,9 @@ def test_the_pipeline_registers_before_it_fuses(mountains, reference, tmp_path, 
     none = dict.fromkeys(("confidence", "ortho", "cloud", "ept", "mesh"))
     path = reference("pipeline.tif")
     run = pipeline(mountains, tmp_path, reference=[path], resolution=1.0, workers=1, **none, **ELLIPSOID)
-    assert run.result["scene"].endswith("registered.json")
-    assert abs(score_files(run.result["output"], path).metrics.bias) < 0.06
-    page = Path(run.result["report"]).read_text(encoding="utf-8")
+    assert run.result.scene.endswith("registered.json")
+    assert abs(score_files(run.result.output, path).metrics.bias) < 0.06
+    page = Path(run.result.report).read_text(encoding="utf-8")
     assert "Registration" in page and "pipeline.tif" in page
 
 
@@ -314,13 +314,13 @@ def test_scenes_that_overlap_meet_in_the_middle_without_a_reference(apart, tmp_p
     before = [place_of(scene) for scene in apart]
     said = told()
     made = run_stage("register", {"scene": first, "others": [second], "output_scene": str(tmp_path / "r.json")}, said)
-    after = [place_of(path) for path in (made["output_scene"], *made["other_scenes"])]
+    after = [place_of(path) for path in (made.output_scene, *made.other_scenes)]
     assert np.abs(before[0] - before[1]).max() > 2.0 and after[0] == pytest.approx(after[1], abs=0.05)
     assert np.mean(after, axis=0) == pytest.approx(np.mean(before, axis=0), abs=0.02)
     assert any("where they overlap" in text for text in said.notes)
     heights = []
-    for number, scene in enumerate((made["output_scene"], *made["other_scenes"])):
-        dsm = fuse(scene, tmp_path / str(number), told)["output"]
+    for number, scene in enumerate((made.output_scene, *made.other_scenes)):
+        dsm = fuse(scene, tmp_path / str(number), told).output
         heights.append(gdal.Warp("", dsm, format="MEM", outputBounds=Scene.load(scene).tiles[0].bounds, xRes=1, yRes=1))
     one, other = (np.where((z := each.ReadAsArray()) < -1000, np.nan, z) for each in heights)
     rows, columns = (min(sizes) for sizes in zip(one.shape, other.shape))
@@ -335,5 +335,5 @@ def test_one_scene_on_a_reference_takes_its_neighbours_along(apart, reference, t
     made = run_stage("register", {**options, "output_scene": str(tmp_path / "r.json")}, told())
     single = {"scene": first, "reference": [reference("both.tif")], **ELLIPSOID}
     alone = run_stage("register", {**single, "output_scene": str(tmp_path / "s.json")}, told())
-    for path in (made["output_scene"], *made["other_scenes"]):
-        assert place_of(path) == pytest.approx(place_of(alone["output_scene"]), abs=0.05)
+    for path in (made.output_scene, *made.other_scenes):
+        assert place_of(path) == pytest.approx(place_of(alone.output_scene), abs=0.05)

@@ -23,7 +23,7 @@ def fitted(urban, tmp_path, told):
     """A scene of a pair of images of its own, as options of the stages that follow."""
     images = [shutil.copy(path, tmp_path) for path in urban.images[:2]]
     made = run_stage("epmfit", {"images": images, "workspace": str(tmp_path / "w")}, told())
-    return images, {"scene": made["scene"], "output_scene": str(tmp_path / "w" / "reconstructed.json"), "workers": 1}
+    return images, {"scene": made.scene, "output_scene": str(tmp_path / "w" / "reconstructed.json"), "workers": 1}
 
 
 def replace_image(path):
@@ -60,7 +60,7 @@ def test_amid_the_fusion(fitted, tmp_path, told, monkeypatch):
     last = fusing._chosen
     monkeypatch.setattr(fusing, "_chosen", lambda *given: (last(*given), replace_image(images[1]))[0])
     with pytest.raises(SceneError, match=WORDS):
-        run_stage("dsmfuse", {"scene": made["output_scene"], "output": str(tmp_path / "dsm.tif"), "workers": 1}, told())
+        run_stage("dsmfuse", {"scene": made.output_scene, "output": str(tmp_path / "dsm.tif"), "workers": 1}, told())
     assert not (tmp_path / "dsm.tif").exists()
 
 
@@ -70,7 +70,7 @@ def test_the_orthophoto_is_of_the_same_pixels(fitted, tmp_path, told):
     products = {"output": str(tmp_path / "dsm.tif"), "ortho": str(tmp_path / "ortho.tif"), "workers": 1}
     replace_image(images[1])
     with pytest.raises(SceneError, match=WORDS):
-        run_stage("dsmfuse", {"scene": made["output_scene"], **products}, told())
+        run_stage("dsmfuse", {"scene": made.output_scene, **products}, told())
     assert not (tmp_path / "ortho.tif").exists()
 
 
@@ -83,7 +83,7 @@ def test_amid_the_orthophoto(fitted, tmp_path, told, monkeypatch):
     monkeypatch.setattr(grey_ortho, "run_tasks", lambda *given: (last(*given), replace_image(images[1]))[0])
     products = {"output": str(tmp_path / "dsm.tif"), "ortho": str(tmp_path / "ortho.tif"), "workers": 1}
     with pytest.raises(SceneError, match=WORDS):
-        run_stage("dsmfuse", {"scene": made["output_scene"], **products}, told())
+        run_stage("dsmfuse", {"scene": made.output_scene, **products}, told())
     assert (tmp_path / "dsm.tif").exists() and not (tmp_path / "ortho.tif").exists()
 
 
@@ -98,7 +98,7 @@ def test_amid_the_export(fitted, tmp_path, told, monkeypatch):
             done.append(replace_image(images[1]))
 
     monkeypatch.setattr(exportcameras, "write_image", written)
-    wanted = {"scene": refined["output_scene"], "folder": str(tmp_path / "cameras"), "format": "mvsnet"}
+    wanted = {"scene": refined.output_scene, "folder": str(tmp_path / "cameras"), "format": "mvsnet"}
     with pytest.raises(SceneError, match=WORDS):
         run_stage("exportcameras", wanted, told())
     assert not list((tmp_path / "cameras").rglob("*.tif"))

@@ -91,9 +91,9 @@ def test_a_second_run_reuses_everything_and_says_so(again, whole):
     result, said = again()
     assert reused(said) == [True, True, True]
     assert maps(again.workspace) == before
-    np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
+    np.testing.assert_array_equal(heights(result.output), heights(whole.result.output))
     for name in ("rmse", "max_error", "n_tie_points", "valid", "cells", "removed"):
-        assert result[name] == whole.result[name]
+        assert getattr(result, name) == getattr(whole.result, name)
 
 
 def points_of(path):
@@ -112,18 +112,18 @@ def test_where_products_are_copied_to_does_not_matter(again, urban, tmp_path):
     for number in range(2):
         folder = tmp_path / f"temporary_{number}"
         folder.mkdir()
-        gcps = shutil.copy(urban.made["gcps"], str(folder / "layer.csv"))
+        gcps = shutil.copy(urban.made.gcps, str(folder / "layer.csv"))
         places = {name: str(folder / f"{name}.gpkg") for name in ("tiles", "tie_points")}
         changes = {**places, "report": str(folder / "report.html"), "output": str(folder / "dsm.tif")}
         result, said = again(images=urban.images, gcps=gcps, **changes)
-        assert {name: result[name] for name in changes} == changes
+        assert {name: getattr(result, name) for name in changes} == changes
         layers = {name: points_of(path) for name, path in places.items()}
         assert all(Path(path).with_suffix(".qml").exists() for path in places.values())
         runs.append((reused(said), layers))
         shutil.rmtree(folder)
     assert runs[0][0] == [False, False, False] and runs[1][0][:2] == [True, True]
     assert any("the relative pointing" in note and note.startswith("Reused") for note in said.notes)
-    assert runs[1][1] == runs[0][1] and len(runs[0][1]["tie_points"][1]) == result["n_tie_points"] > 100
+    assert runs[1][1] == runs[0][1] and len(runs[0][1]["tie_points"][1]) == result.n_tie_points > 100
     kept = {"tiles": again.workspace / "tiles.gpkg", "tie_points": again.workspace / "reconstructed_tie_points.gpkg"}
     assert {name: points_of(str(path)) for name, path in kept.items()} == runs[1][1]
     assert (again.workspace / "report.html").exists()
@@ -132,7 +132,7 @@ def test_where_products_are_copied_to_does_not_matter(again, urban, tmp_path):
 @pytest.mark.slow
 def test_control_points_that_say_something_else_are_found_again(again, urban, tmp_path):
     gcps = tmp_path / "gcps.csv"
-    gcps.write_text(Path(urban.made["gcps"]).read_text())
+    gcps.write_text(Path(urban.made.gcps).read_text())
     again(images=urban.images, gcps=str(gcps))
     gcps.write_text(gcps.read_text().replace(",control", ",check", 3))  # the rows of one point
     assert reused(again(images=urban.images, gcps=str(gcps))[1])[2] is False
@@ -157,7 +157,7 @@ def test_a_changed_option_makes_anew_what_depends_on_it(again, whole, change, ke
         assert after == before
     else:
         assert not {name for name in before if after.get(name) == before[name]}
-    assert not np.array_equal(heights(result["output"]), heights(whole.result["output"]))
+    assert not np.array_equal(heights(result.output), heights(whole.result.output))
 
 
 def test_a_changed_image_makes_everything_anew(again, urban, tmp_path):
@@ -177,7 +177,7 @@ def test_a_lost_height_map_alone_is_made_again(again, whole):
     assert set(after) == set(before)
     assert [name for name in after if after[name] != before[name]] == [lost]
     assert any("Reused 3 of 4 height maps" in note for note in said.notes)
-    np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
+    np.testing.assert_array_equal(heights(result.output), heights(whole.result.output))
 
 
 def damage(path, how):
@@ -210,7 +210,7 @@ def test_a_damaged_height_map_is_made_again_and_named(again, whole, how, stopped
         os.unlink(again.workspace / "reconstructed.json")
     result, said = again()
     np.testing.assert_array_equal(heights(str(path)), good)
-    np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
+    np.testing.assert_array_equal(heights(result.output), heights(whole.result.output))
     assert any("Reused 3 of 4 height maps" in note for note in said.notes)
     assert any("damaged" in text and str(path) in text for text in said.warnings)
 
@@ -237,7 +237,7 @@ def test_a_project_that_was_moved_works(urban, whole, tmp_path, told):
     assert all(record.file.startswith(str(now)) for tile in scene.tiles for record in tile.heights)
     fuse = {"scene": str(scene.path), "output": str(now / "again.tif"), "resolution": 0.5, "ortho": str(now / "o.tif")}
     result = run_stage("dsmfuse", {**fuse, "workers": 1}, told())
-    np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
+    np.testing.assert_array_equal(heights(result.output), heights(whole.result.output))
     os.rename(images[0].replace("before", "now"), now / "other.tif")
     with pytest.raises(SceneError, match=f"reconstructed.json' needs '.*{Path(images[0]).name}', which is not there"):
         run_stage("dsmfuse", {**fuse, "workers": 1}, told())
@@ -247,7 +247,7 @@ def test_a_damaged_scene_is_made_again(again, whole):
     (again.workspace / "refined.json").write_text("{")
     result, said = again()
     assert reused(said)[:2] == [True, False]
-    np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
+    np.testing.assert_array_equal(heights(result.output), heights(whole.result.output))
 
 
 def test_what_a_killed_run_left_is_no_hindrance(again, whole):
@@ -259,7 +259,7 @@ def test_what_a_killed_run_left_is_no_hindrance(again, whole):
     )
     assert abs(killed.returncode) == 9 and len(parts(folder)) == 1
     result, _ = again()
-    np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
+    np.testing.assert_array_equal(heights(result.output), heights(whole.result.output))
     assert parts(folder) == []
 
 
@@ -278,7 +278,7 @@ def test_cancel_leaves_no_half_made_file_and_the_next_run_succeeds(urban, whole,
     assert parts(tmp_path) == [] and not os.path.exists(options["output"])
     if workers == 1 and share == 0.6:
         result = run_stage("pipeline", {**options, "workers": 1}, told())
-        np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
+        np.testing.assert_array_equal(heights(result.output), heights(whole.result.output))
 
 
 @pytest.mark.slow
@@ -315,7 +315,7 @@ def test_a_killed_run_goes_on_with_the_tiles_it_has_finished(again, whole, told,
     result = run_stage("pipeline", options, said := told())
     assert any(f"Reused {len(done)} of 4 height maps" in note or "Reused 4 height maps" in note for note in said.notes)
     assert {name: maps(again.workspace)[name] for name in done} == done
-    np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
+    np.testing.assert_array_equal(heights(result.output), heights(whole.result.output))
     assert parts(tmp_path) == []
 
 
@@ -328,8 +328,8 @@ def test_heights_go_where_they_are_wanted(again, tmp_path, told):
         "workers": 1,
     }
     result = run_stage("reconstruct", options, told())
-    assert result["heights"] == str(tmp_path / "elsewhere")
-    files = {Path(record.file).name for tile in Scene.load(result["output_scene"]).tiles for record in tile.heights}
+    assert result.heights == str(tmp_path / "elsewhere")
+    files = {Path(record.file).name for tile in Scene.load(result.output_scene).tiles for record in tile.heights}
     assert len(files) == 4 and files <= set(os.listdir(tmp_path / "elsewhere"))
 
 
@@ -373,7 +373,7 @@ def test_fusion_goes_on_with_the_tiles_it_has_finished(killed_fusion, whole, tol
     options, folder = killed_fusion
     result = run_stage("dsmfuse", options, said := told())
     assert any("Reused 2 of 4 fused tiles" in note for note in said.notes)
-    np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
+    np.testing.assert_array_equal(heights(result.output), heights(whole.result.output))
     assert not folder.exists() and parts(folder.parent) == []
 
 
@@ -391,7 +391,7 @@ def test_fusion_takes_no_tile_of_other_options(killed_fusion, told, tmp_path, ch
     result = run_stage("dsmfuse", {**options, **change}, said := told())
     assert not any("Reused" in note for note in said.notes) and not folder.exists()
     undisturbed = run_stage("dsmfuse", {**options, **change, "output": str(tmp_path / "other.tif")}, told())
-    np.testing.assert_array_equal(heights(result["output"]), heights(undisturbed["output"]))
+    np.testing.assert_array_equal(heights(result.output), heights(undisturbed.output))
 
 
 def test_a_damaged_fused_tile_is_made_again(killed_fusion, whole, told):
@@ -402,7 +402,7 @@ def test_a_damaged_fused_tile_is_made_again(killed_fusion, whole, told):
     tile.write_bytes(bytes(content))
     result = run_stage("dsmfuse", options, said := told())
     assert any("Reused 1 of 4 fused tiles" in note for note in said.notes)
-    np.testing.assert_array_equal(heights(result["output"]), heights(whole.result["output"]))
+    np.testing.assert_array_equal(heights(result.output), heights(whole.result.output))
 
 
 @pytest.mark.parametrize("how", ("zeros", "another height", "gone", "empty"))
@@ -424,7 +424,7 @@ def test_damaged_heights_with_the_margin_are_not_reused(killed_fusion, whole, to
     said = told()
     again = run_stage("dsmfuse", options, said)
     assert any("Reused 1 of 4 fused tiles" in note for note in said.notes)
-    np.testing.assert_array_equal(heights(again["output"]), heights(whole.result["output"]))
+    np.testing.assert_array_equal(heights(again.output), heights(whole.result.output))
 
 
 def test_a_cancelled_fusion_keeps_its_tiles_and_a_failed_one_leaves_nothing(again, whole, told, monkeypatch):

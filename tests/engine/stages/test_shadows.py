@@ -19,9 +19,9 @@ AFTERNOON = "2023-06-21T16:40:00Z"  # over Toulouse, where the simulated town st
 
 def fused(run, folder, said, acquired, parameters, **options):
     """The run's height maps fused in a scene whose images have a time; the DSM, the confidence and the facts."""
-    scene = Scene.load(run.result["scene"])
+    scene = Scene.load(run.result.scene)
     views = tuple(replace(view, acquired=acquired) for view in scene.views)
-    path = replace(scene, views=views).save(str(Path(run.result["scene"]).with_name(f"{folder.name}.json")))
+    path = replace(scene, views=views).save(str(Path(run.result.scene).with_name(f"{folder.name}.json")))
     folder.mkdir()
     files = {"output": str(folder / "dsm.tif"), "confidence": str(folder / "confidence.tif")}
     facts = run_stage("dsmfuse", {"scene": path, **files, **options}, said, parameters)
@@ -54,16 +54,16 @@ def test_what_takes_the_ground_of_a_shadow_is_marked_and_counted(urban_run, tmp_
         assert np.isin(source[changed], (Provenance.SHADOW, Provenance.BACKGROUND, Provenance.MATCHED)).all()
         near = changed & (source == Provenance.MATCHED) & (confidence[:3] == before[:3])[[0, 2]].all(axis=0)
         # Three standard deviations, of a map at its worst score; of a single cell, those that it states itself.
-        widest = max(r.metres_per_px for tile in Scene.load(urban_run.result["scene"]).tiles for r in tile.heights)
+        widest = max(r.metres_per_px for tile in Scene.load(urban_run.result.scene).tiles for r in tile.heights)
         moved, own = np.abs(dsm - plain)[near], error[near]
         assert near.sum() > 20 and np.mean(moved < 3 * 0.65 * widest) > 0.99
         assert (moved < 3 * np.maximum(own, 0.65 * widest)).all()
     assert np.isnan(confidence[:3, taken]).all() and np.isfinite(error[taken]).all()
-    assert facts["background"] == np.isin(source, (Provenance.BACKGROUND, Provenance.SHADOW)).sum()
-    assert facts["background"] > without["background"] == (before[3] == Provenance.BACKGROUND).sum()
-    assert facts["matched"] == (source == Provenance.MATCHED).sum()
-    assert facts["interpolated"] == np.isin(source, (Provenance.INTERPOLATED, Provenance.INTERPOLATED_ON_DEM)).sum()
-    assert facts["matched"] + facts["background"] + facts["interpolated"] == np.isfinite(dsm).sum()
+    assert facts.background == np.isin(source, (Provenance.BACKGROUND, Provenance.SHADOW)).sum()
+    assert facts.background > without.background == (before[3] == Provenance.BACKGROUND).sum()
+    assert facts.matched == (source == Provenance.MATCHED).sum()
+    assert facts.interpolated == np.isin(source, (Provenance.INTERPOLATED, Provenance.INTERPOLATED_ON_DEM)).sum()
+    assert facts.matched + facts.background + facts.interpolated == np.isfinite(dsm).sum()
 
 
 @pytest.mark.long

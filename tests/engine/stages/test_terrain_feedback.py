@@ -39,7 +39,7 @@ def terrain_run(mountains, pipeline, tmp_path_factory):
 
 
 def test_the_coarse_surface_is_the_ground(mountains, mountains_run, told):
-    scene = Scene.load(mountains_run.result["scene"])
+    scene = Scene.load(mountains_run.result.scene)
     stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
     pairs = [("img_01", "img_02"), ("img_02", "img_03"), ("img_01", "img_03")]
     found = coarse_surface(scene, pairs, stretches, match=sgm.match, workers=1, progress=told())
@@ -66,11 +66,11 @@ def test_tiles_that_ties_do_not_cover_get_their_altitudes_from_the_surface(mount
     fitted = run_stage("epmfit", {"images": mountains.images, "workspace": str(tmp_path), "tile_size": 256}, told())
     made = run_stage(
         "reconstruct",
-        {"scene": fitted["scene"], "output_scene": str(tmp_path / "r.json"), "workers": 1},
+        {"scene": fitted.scene, "output_scene": str(tmp_path / "r.json"), "workers": 1},
         told(),
         parameters,
     )
-    scene = Scene.load(made["output_scene"])
+    scene = Scene.load(made.output_scene)
     assert not covered_by_ties(scene, patches) and scene.refinement == "polynomial" and len(scene.tiles) >= 4
     spans = []
     for tile in scene.tiles:
@@ -82,7 +82,7 @@ def test_tiles_that_ties_do_not_cover_get_their_altitudes_from_the_surface(mount
 
 @pytest.mark.slow
 def test_a_run_refines_on_its_own_surface(mountains, terrain_run, told):
-    scene = Scene.load(terrain_run.result["scene"])
+    scene = Scene.load(terrain_run.result.scene)
     assert scene.refinement == "terrain" and Path(scene.surface).exists()
     assert all(
         view.refined.to_original.to_mapping() == {"kind": "terrain"}
@@ -91,9 +91,9 @@ def test_a_run_refines_on_its_own_surface(mountains, terrain_run, told):
     )
     assert any("Refined on a surface" in note for note in terrain_run.said.notes)
     found = run_stage(
-        "comparedsm", {"dsm": terrain_run.result["output"], "reference": mountains.truth, "align": "3d"}, told()
+        "comparedsm", {"dsm": terrain_run.result.output, "reference": mountains.truth, "align": "3d"}, told()
     )
-    assert found["nmad"] < 0.65 and found["valid"] > 99 and found["completeness_by_threshold"]["5"] > 99
+    assert found.nmad < 0.65 and found.valid > 99 and found.completeness_by_threshold["5"] > 99
 
 
 @pytest.mark.slow
@@ -103,9 +103,9 @@ def test_the_same_bytes_with_one_worker(mountains, terrain_run, pipeline, tmp_pa
         tmp_path,
         **{**terrain_run.options, "workspace": str(tmp_path / "ws"), "output": str(tmp_path / "dsm.tif"), "workers": 1},
     )
-    arrays = [gdal.Open(run.result["output"]).ReadAsArray() for run in (terrain_run, alone)]
+    arrays = [gdal.Open(run.result.output).ReadAsArray() for run in (terrain_run, alone)]
     assert arrays[0].tobytes() == arrays[1].tobytes()
-    files = [sorted(Path(run.result["heights"]).glob("*.tif")) for run in (terrain_run, alone)]
+    files = [sorted(Path(run.result.heights).glob("*.tif")) for run in (terrain_run, alone)]
     assert [path.name for path in files[0]] == [path.name for path in files[1]] and len(files[0]) > 3
     for one, two in zip(*files):
         assert gdal.Open(str(one)).ReadAsArray().tobytes() == gdal.Open(str(two)).ReadAsArray().tobytes()
@@ -114,7 +114,7 @@ def test_the_same_bytes_with_one_worker(mountains, terrain_run, pipeline, tmp_pa
 @pytest.mark.slow
 def test_a_second_run_takes_up_what_is_there(terrain_run, told):
     again = told()
-    before = Path(terrain_run.result["output"]).read_bytes()
+    before = Path(terrain_run.result.output).read_bytes()
     run_stage("pipeline", terrain_run.options, again)
     assert any("Reused" in note and "height maps" in note for note in again.notes)
-    assert Path(terrain_run.result["output"]).read_bytes() == before
+    assert Path(terrain_run.result.output).read_bytes() == before

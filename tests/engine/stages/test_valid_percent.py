@@ -15,20 +15,20 @@ from repm_qgis.stages import run_stage
 def test_cells_finer_than_the_images_are_filled_and_that_is_said(urban, urban_run, tmp_path, told):
     """At half the ground sampling distance half of the cells were empty, without a word."""
     said, output = told(), str(tmp_path / "fine.tif")
-    made = run_stage("dsmfuse", {"scene": urban_run.result["scene"], "output": output, "resolution": 0.25}, said)
-    assert made["valid_percent"] > urban_run.result["valid_percent"] - 2.0 > 88.0
+    made = run_stage("dsmfuse", {"scene": urban_run.result.scene, "output": output, "resolution": 0.25}, said)
+    assert made.valid_percent > urban_run.result.valid_percent - 2.0 > 88.0
     assert any("0.25 m are finer than the images' ground sampling distance of 0.5 m" in note for note in said.notes)
     assert not any("ground sampling distance" in note for note in urban_run.said.notes)  # cells of 0.5 m
-    found = run_stage("comparedsm", {"dsm": output, "reference": urban_run.result["output"]}, told())
-    assert abs(found["bias"]) < 0.02 and found["nmad"] < 0.1, found
+    found = run_stage("comparedsm", {"dsm": output, "reference": urban_run.result.output}, told())
+    assert abs(found.bias) < 0.02 and found.nmad < 0.1, found
 
 
 @pytest.mark.long
 def test_altitudes_that_ties_did_not_narrow_change_nothing(urban_run, tmp_path, told):
     """Those of an RPC have their middle far from the ground, where the two images see other ground together."""
-    scene = Scene.load(urban_run.result["scene"])
+    scene = Scene.load(urban_run.result.scene)
     wide = scene.with_tiles(lambda tile: replace(tile, altitudes=(tile.altitudes[0] - 900.0, tile.altitudes[1])))
-    path = wide.save(str(Path(urban_run.result["scene"]).with_name("wide.json")))
+    path = wide.save(str(Path(urban_run.result.scene).with_name("wide.json")))
     made = run_stage("dsmfuse", {"scene": path, "output": str(tmp_path / "dsm.tif"), "resolution": 0.5}, told())
-    assert made["valid"] == urban_run.result["valid"]
-    assert made["valid_percent"] == pytest.approx(urban_run.result["valid_percent"], abs=0.01)
+    assert made.valid == urban_run.result.valid
+    assert made.valid_percent == pytest.approx(urban_run.result.valid_percent, abs=0.01)

@@ -45,7 +45,7 @@ def test_the_index_finds_glint_and_mud_and_ends_at_the_bank(pair, tmp_path, told
     assert said.startswith("NDWI above 0.") and any("NDWI above" in text for text in heard.notes)
     dsm = gdal.Open(job["output"]).ReadAsArray()
     # The same scene without the colours' help: what is bright is not looked for.
-    fuse = {"scene": result["scene"], "output": str(tmp_path / "grey.tif"), "colour": "greys", "workers": 1}
+    fuse = {"scene": result.scene, "output": str(tmp_path / "grey.tif"), "colour": "greys", "workers": 1}
     grey = {**fuse, "resolution": 1.0, "water": "flatten", "water_mask": str(tmp_path / "grey_water.tif")}
     run_stage("dsmfuse", grey, told())
     without = shares(pair, grey["water_mask"])

@@ -80,9 +80,9 @@ def test_the_ground_the_heights_and_the_mask(scene, tmp_path):
     with raster.opened(str(tmp_path / "mask.tif")) as dataset:
         assert dataset.ReadAsArray()[310, 70] == 255
     assert np.isfinite(terrain[60:64, 100:104]).all() and abs(error[60:64, 100:104]).max() < 0.5
-    assert result["objects_percent"] == pytest.approx(100 * objects[np.isfinite(surface)].mean(), abs=2)
+    assert result.objects_percent == pytest.approx(100 * objects[np.isfinite(surface)].mean(), abs=2)
     with raster.opened(str(tmp_path / "output.tif")) as dataset:
-        assert dataset.GetMetadataItem(TAG) == ELLIPSOID and result["vertical_datum"] == ELLIPSOID
+        assert dataset.GetMetadataItem(TAG) == ELLIPSOID and result.vertical_datum == ELLIPSOID
     assert all((tmp_path / f"{name}.qml").exists() for name in ("output", "heights", "mask"))
     assert not [name for name in os.listdir(tmp_path) if ".part" in name]
 

@@ -31,7 +31,7 @@ def test_places_lie_evenly_and_the_middle_one_comes_first():
 
 
 def test_of_a_cells_places_the_one_with_the_best_texture_comes_first(urban_run):
-    scene = Scene.load(urban_run.result["scene"])
+    scene = Scene.load(urban_run.result.scene)
     small = replace(PATCHES, whole_px=0, least_px=60, most_px=60)
 
     def texture(place):
@@ -46,7 +46,7 @@ def test_of_a_cells_places_the_one_with_the_best_texture_comes_first(urban_run):
 
 def test_the_texture_is_that_of_the_middle_half(urban_run, monkeypatch):
     """Of half of the place's side, around its middle, in each view; read at half the resolution."""
-    scene = Scene.load(urban_run.result["scene"])
+    scene = Scene.load(urban_run.result.scene)
     x0, y0, x1, y1 = scene.tiles[0].bounds
     middle, side = np.array([(x0 + x1) / 2, (y0 + y1) / 2]), 60.0
     place = Bounds(*(middle - side / 2), *(middle + side / 2))

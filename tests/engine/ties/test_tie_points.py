@@ -37,7 +37,7 @@ def found(request, tmp_path_factory, told):
     truth = request.getfixturevalue(request.param)
     folder = tmp_path_factory.mktemp("ties")
     result = run_stage("epmfit", {"images": truth.images, "workspace": str(folder)}, told())
-    scene = Scene.load(result["scene"])
+    scene = Scene.load(result.scene)
     stretches = {view.name: view_stretch(view.image, view.band) for view in scene.views}
     names = [view.name for view in scene.views]
     return (

@@ -100,7 +100,7 @@ def test_heights_are_those_of_the_file_to_a_centimetre(tmp_path):
     parts, facts, made = page_of(
         tmp_path, raster(tmp_path / "d.tif", values, metadata={"VERTICAL_DATUM": "EGM96 height"})
     )
-    assert (made["columns"], made["rows"]) == (130, 90) == tuple(facts["size"])
+    assert (made.columns, made.rows) == (130, 90) == tuple(facts["size"])
     np.testing.assert_allclose(heights_in(facts), values, atol=0.0051)
     assert facts["quantum"] == 0.01 and facts["cell_m"] == [0.5, 0.5]
     assert (facts["corner"], facts["step"]) == ([500000.0, 4800000.0], [0.5, -0.5])
@@ -120,7 +120,7 @@ def test_a_large_dsm_becomes_means_and_the_page_says_so(tmp_path):
     values[:, 300:310] = np.nan
     parts, facts, made = page_of(tmp_path, raster(tmp_path / "d.tif", values), cells=10_000)
     columns, rows = facts["size"]
-    assert columns * rows <= 10_000 and columns / rows == pytest.approx(1.5, rel=0.02) and made["rows"] == rows
+    assert columns * rows <= 10_000 and columns / rows == pytest.approx(1.5, rel=0.02) and made.rows == rows
     ratio = 600 / columns
     assert facts["step"][0] == pytest.approx(0.5 * ratio) and facts["step"][1] == pytest.approx(-0.5 * 400 / rows)
     found = heights_in(facts)
@@ -306,10 +306,10 @@ def test_the_library_is_the_one_that_the_documents_name():
 
 
 def test_a_run_with_a_page_drapes_its_own_products(urban_run):
-    made = urban_run.result["viewer"]
+    made = urban_run.result.viewer
     facts = json.loads(Parts(Path(made).read_text(encoding="utf-8")).scripts["facts"])
     assert [layer["kind"] for layer in facts["layers"]] == ["dsm", "ortho", "confidence"]
-    with opened(urban_run.result["output"]) as dsm:
+    with opened(urban_run.result.output) as dsm:
         values = dsm.ReadAsArray()
         values = np.where(values == dsm.GetRasterBand(1).GetNoDataValue(), np.nan, values)
     np.testing.assert_allclose(heights_in(facts), values, atol=0.0051)
@@ -318,11 +318,11 @@ def test_a_run_with_a_page_drapes_its_own_products(urban_run):
 @pytest.mark.long
 def test_a_page_alone_drapes_what_nobody_keeps(urban_run, tmp_path, told):
     said = told()
-    given = {"scene": urban_run.result["scene"], "resolution": 1.0, "output": str(tmp_path / "d.tif")}
+    given = {"scene": urban_run.result.scene, "resolution": 1.0, "output": str(tmp_path / "d.tif")}
     made = run_stage("dsmfuse", {**given, "viewer": str(tmp_path / "v.html")}, said)
     facts = json.loads(Parts((tmp_path / "v.html").read_text(encoding="utf-8")).scripts["facts"])
     assert [layer["kind"] for layer in facts["layers"]] == ["dsm", "ortho", "confidence"]
-    assert made["ortho"] is None and made["confidence"] is None
+    assert made.ortho is None and made.confidence is None
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d.qml", "d.tif", "v.html"]
     assert not [path for path in urban_run.workspace.rglob("*draped*")]
     assert any(text.startswith("Page of ") for text in said.notes)
