@@ -9,6 +9,7 @@ from typing import Callable, Iterator, List, Optional, Protocol, Sequence, Tuple
 import numpy as np
 
 from ..contracts.arrays import Altitudes, FloatArray, FloatImage, Floats, Mask, Window
+from ..contracts.errors import RpcInvalidError
 from ..geometry.cell_grid import CellGrid
 from ..geometry.footprints import ray_slope
 from ..geometry.frames import geodetic_from_projected
@@ -112,10 +113,18 @@ def _squares(grid: CellGrid, side: int) -> Iterator[Tuple[CellGrid, Tuple[slice,
 
 
 def slope_over(view: View, grid: CellGrid, height: Floats, crs: str) -> FloatArray:
-    """How far a view's line of sight goes east and north for each m up, over the middle of some cells."""
+    """How far a view's line of sight goes east and north for each m up, over the middle of some cells.
+
+    Raises RpcInvalidError where the view's model has no line of sight there.
+    """
     xs, ys = grid.centres()
     centre = geodetic_from_projected(crs, np.array([xs[len(xs) // 2], ys[len(ys) // 2]]))
-    return ray_slope(view, centre, float(np.nanmedian(height)))
+    slope = ray_slope(view, centre, float(np.nanmedian(height)))
+    if not np.isfinite(slope).all():
+        raise RpcInvalidError(
+            f"The RPC of '{view.image}' has no line of sight over the surface: use the image's own RPC."
+        )
+    return slope
 
 
 def blocked(

@@ -139,7 +139,8 @@ def test_a_cancel_that_native_code_swallows_is_a_cancel_and_names_no_file(tmp_pa
 LATE = """
 import os, signal, sys
 from repm_qgis import engine_process
-engine_process._run = lambda asked, lines: {}
+from repm_qgis.contracts.results import ErrorMapResult
+engine_process._run = lambda asked, lines: ErrorMapResult("map.tif", None, 0.5, 1.5, 100.0, 2.0)
 code = engine_process.main(["a", "b"])
 os.kill(os.getpid(), signal.SIGTERM)
 sys.exit(code)
@@ -149,7 +150,8 @@ sys.exit(code)
 @pytest.mark.skipif(os.name == "nt", reason="no SIGTERM")
 def test_a_signal_after_the_result_changes_nothing():
     done = subprocess.run([sys.executable, "-c", LATE], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0 and json.loads(done.stdout) == {"type": "result", "result": {}}
+    answer = json.loads(done.stdout)
+    assert done.returncode == 0 and answer["type"] == "result" and answer["result"]["max_error"] == 1.5
 
 
 EARLY = """

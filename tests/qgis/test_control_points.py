@@ -64,9 +64,9 @@ def test_points_are_measured_by_mouse_and_keys_and_taken_by_gcps(desktop_start, 
     measured.write_text(found["file"])
     options = {"images": town["images"], "workspace": str(tmp_path / "work"), "gcps": str(measured)}
     made = run_stage("pipeline", {**options, "output": str(tmp_path / "dsm.tif")}, Silent())
-    judged = run_stage("checkgcps", {"gcps": town["gcps"], "scene": made["scene"]}, Silent())["components"]
+    judged = run_stage("checkgcps", {"gcps": town["gcps"], "scene": made.scene}, Silent()).components
     for component in ("east", "north"):
-        assert judged["scene"][component]["rmse"] < 0.25 * judged["rpc"][component]["rmse"]
+        assert judged["scene"][component].rmse < 0.25 * judged["rpc"][component].rmse
 
 
 def check_height(town, lon, lat, height):

@@ -63,10 +63,8 @@ def test_distances_along_the_normal_of_a_tilted_plane(make_raster, tmp_path, mov
     got = compare(make_raster("dsm.tif", dsm), make_raster("ref.tif", reference), report=str(page))
     assert got.bias == pytest.approx(height, abs=1e-4) and got.cells == 60 * 50 - 24
     normal = got.along_normals
-    assert normal["bias"] == pytest.approx(distance, abs=0.003) and normal["rmse"] == pytest.approx(
-        abs(distance), abs=1e-4
-    )
-    assert normal["cells"] == 58 * 48 - 24 - 2 * (4 + 6)  # neither the raster's rim, nor the hole's four sides
+    assert normal.bias == pytest.approx(distance, abs=0.003) and normal.rmse == pytest.approx(abs(distance), abs=1e-4)
+    assert normal.cells == 58 * 48 - 24 - 2 * (4 + 6)  # neither the raster's rim, nor the hole's four sides
     assert "along the normal" in page.read_text(encoding="utf-8")
 
 
@@ -394,10 +392,10 @@ def test_errors_by_class_equal_an_independent_count(make_raster, terrain):
     where = {"1": ~east, "7": east & (column * cell < 34 * 4 - 20)}
     for name, inside in where.items():
         e = error[inside].astype(float)
-        assert got.by_class[name]["cells"] == inside.sum()
-        assert got.by_class[name]["rmse"] == pytest.approx(np.sqrt((e**2).mean()), abs=1e-5)
-        assert got.by_class[name]["bias"] == pytest.approx(np.median(e), abs=0.005)
-        assert got.by_class[name]["completeness"] == pytest.approx(100 * (abs(e) < 1).mean(), abs=0.01)
+        assert got.by_class[name].cells == inside.sum()
+        assert got.by_class[name].rmse == pytest.approx(np.sqrt((e**2).mean()), abs=1e-5)
+        assert got.by_class[name].bias == pytest.approx(np.median(e), abs=0.005)
+        assert got.by_class[name].completeness == pytest.approx(100 * (abs(e) < 1).mean(), abs=0.01)
 
 
 def test_classes_have_their_names_and_are_few(make_raster, terrain, tmp_path):
@@ -409,7 +407,7 @@ def test_classes_have_their_names_and_are_few(make_raster, terrain, tmp_path):
     dataset = None  # noqa: F841
     a, b = make_raster("dsm.tif", terrain(100, 100)), make_raster("reference.tif", terrain(100, 100))
     got = compare(a, b, classes=path, report=str(tmp_path / "r.html"))
-    assert list(got.by_class) == ["roofs", "ground"] and got.by_class["roofs"]["cells"] == 5000
+    assert list(got.by_class) == ["roofs", "ground"] and got.by_class["roofs"].cells == 5000
     assert "roofs" in (tmp_path / "r.html").read_text(encoding="utf-8")
     with pytest.raises(ImageError, match=r"noclass.tif.*whole numbers"):
         compare(a, b, classes=make_raster("noclass.tif", terrain(100, 100)))
@@ -428,7 +426,7 @@ def test_several_dsms_in_one_table(make_raster, terrain, tmp_path):
         report=str(tmp_path / "r.html"),
     )
     assert got.bias == pytest.approx(0.25, abs=1e-5)
-    assert [(one["dsm"], round(one["bias"], 4)) for one in got.others] == [(second, -0.5)]
+    assert [(one.dsm, round(one.bias, 4)) for one in got.others] == [(second, -0.5)]
     error = gdal.Open(str(tmp_path / "e.tif")).ReadAsArray()
     assert np.median(error) == pytest.approx(0.25, abs=1e-4)  # the first one's errors
     page = (tmp_path / "r.html").read_text(encoding="utf-8")

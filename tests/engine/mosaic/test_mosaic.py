@@ -101,7 +101,7 @@ def made(four, tmp_path_factory, told):
 
 def test_offsets_are_solved_and_seams_are_below_a_decimetre(made):
     result, said = made
-    added, deviation = ([each[name] for each in result.offsets] for name in ("added", "deviation"))
+    added, deviation = ([getattr(each, name) for each in result.offsets] for name in ("added", "deviation"))
     assert added == pytest.approx(ADDED, abs=0.01) and 0 < max(deviation) < 0.02
     assert (result.groups, result.overlaps) == (1, 6) and result.seam < 0.1
     heights, source = read(result.output), read(result.sources)
@@ -126,7 +126,7 @@ def test_products_say_where_heights_come_from(made, four):
     with raster.opened(result.sources) as dataset:
         assert [dataset.GetMetadataItem(f"DSM_{i + 1}") for i in range(4)] == four
     # Where one DSM alone has heights, the mosaic has these and its offset, to the digit.
-    own = read(four[0]) + np.float32(result.offsets[0]["added"])
+    own = read(four[0]) + np.float32(result.offsets[0].added)
     alone = (count == 1)[:100, :100]
     assert alone.sum() > 8000 and (number[:100, :100][alone] == 1).all()
     assert heights[:100, :100][alone] == pytest.approx(own[:100, :100][alone], abs=1e-4)
@@ -145,8 +145,8 @@ def test_products_say_where_heights_come_from(made, four):
 def test_fixed_dsms_keep_their_heights(four, tmp_path, told):
     said = told()
     found = mosaic(told, tmp_path, four, said, fixed=[four[1]]).offsets
-    assert found[1]["added"] == 0 and found[1]["deviation"] == 0
-    assert [each["added"] for each in found] == pytest.approx(np.array(ADDED) - ADDED[1], abs=0.01)
+    assert found[1].added == 0 and found[1].deviation == 0
+    assert [each.added for each in found] == pytest.approx(np.array(ADDED) - ADDED[1], abs=0.01)
     assert any("its heights are fixed" in text for text in said.notes)
 
 
@@ -160,7 +160,7 @@ def test_dsms_that_were_registered_are_fixed_by_themselves(four, tmp_path, told)
         dataset.SetMetadataItem(PLACED_TAG, text)
         dataset = None
         found = mosaic(told, tmp_path, [four[0], placed, *four[2:]]).offsets
-        assert found[1]["added"] == pytest.approx(first, abs=0.01)
+        assert found[1].added == pytest.approx(first, abs=0.01)
 
 
 @pytest.mark.long
@@ -183,7 +183,7 @@ def test_dsms_of_other_crs_and_cells_are_not_shifted(tmp_path, told):
     first = write(tmp_path / "a.tif", (0, 0), 150, plane)
     second = write(tmp_path / "b.tif", (90, 20), 80, plane, UTM32, cell=2.0)
     result = mosaic(told, tmp_path, [first, second], sources=str(tmp_path / "s.tif"))
-    assert [each["added"] for each in result.offsets] == pytest.approx([0, 0], abs=0.01)
+    assert [each.added for each in result.offsets] == pytest.approx([0, 0], abs=0.01)
     heights = read(result.output)
     with raster.opened(result.output) as dataset:
         x0, cell, _, y0, _, _ = dataset.GetGeoTransform()
@@ -529,7 +529,7 @@ def test_what_is_known_worse_is_moved_more(tmp_path, told):
     )
     said = told()
     result = run_stage("mosaic", {"dsms": [good, poor], "output": str(tmp_path / "m.tif")}, said)
-    added = [each["added"] for each in result.offsets]
+    added = [each.added for each in result.offsets]
     assert added == pytest.approx([5.0 / 101, -500.0 / 101], abs=0.01)
     assert not said.warnings and any("each weighted by its stated uncertainty" in text for text in said.notes)
 

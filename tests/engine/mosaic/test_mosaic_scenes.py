@@ -55,8 +55,8 @@ def test_scenes_give_the_bytes_of_dsms_that_were_fused_by_hand(scenes, fused, tm
     by_hand = {"dsms": [higher, first[0], second[0]], "confidences": ["", first[1], second[1]]}
     assert data == Path(run(told, tmp_path, **by_hand).output).read_bytes()
     # The second DSM says itself that ground control points have placed it, so it is fixed too.
-    assert [each["dsm"] for each in made.offsets] == [higher, *scenes]
-    assert [each["added"] for each in made.offsets] == pytest.approx([-2.5, 0, 0], abs=0.01)
+    assert [each.dsm for each in made.offsets] == [higher, *scenes]
+    assert [each.added for each in made.offsets] == pytest.approx([-2.5, 0, 0], abs=0.01)
     words = f"'{scenes[1]}': its heights are fixed (ground control points), 2 overlaps."
     assert words in said.notes and not any("mean of all offsets" in text for text in said.notes)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -28,7 +28,7 @@ from tests.engine.pages import plain
 def made(urban_run):
     scene = Scene.load(urban_run.result.scene)
     history = [replace(entry, warnings=()) for entry in scene.history]
-    return replace(scene, history=tuple(history)), FusionFacts.from_mapping(urban_run.result)
+    return replace(scene, history=tuple(history)), FusionFacts.from_mapping(urban_run.result.to_mapping())
 
 
 def test_a_good_run_is_called_good_and_says_why(urban_run, made):

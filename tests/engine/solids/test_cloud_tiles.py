@@ -16,6 +16,7 @@ from pyproj import Transformer
 from scipy.spatial import cKDTree
 
 from repm_qgis.contracts.errors import Cancelled, EmptyResultError, ImageError, OptionError, WorkspaceError
+from repm_qgis.contracts.results import Tiles3dResult
 from repm_qgis.solids.cloud_tiles import write_cloud_tiles
 from repm_qgis.solids.parameters import SOLIDS, EptParameters
 from repm_qgis.solids.point_cloud import created_cloud
@@ -222,12 +223,14 @@ def test_the_stage_says_what_it_wrote(tmp_path, told):
     heard = told()
     cloud = write(tmp_path / "c.laz", town(500))
     result = run_stage("tiles3d", {"dsm": cloud, "tiles3d": str(tmp_path / "tiles")}, heard)
-    assert result == {
-        "tiles3d": str(tmp_path / "tiles"),
-        "tileset": str(tmp_path / "tiles" / "tileset.json"),
-        "tiles": 1,
-        "points": 500,
-    }
+    assert result == Tiles3dResult(
+        tiles3d=str(tmp_path / "tiles"),
+        tileset=str(tmp_path / "tiles" / "tileset.json"),
+        tiles=1,
+        vertices=None,
+        triangles=None,
+        points=500,
+    )
     assert heard.notes == ["3-D Tiles: 1 tile with 500 points."]
     assert any("does not state its vertical datum" in text for text in heard.warnings)
     with pytest.raises(OptionError, match="ORTHO"):

@@ -55,7 +55,7 @@ def test_the_offset_is_that_of_the_truth(urban, urban_run, tmp_path, told, up, f
     """Whatever is filled in on the DEM itself counts nothing."""
     said, dem = told(), dem_of(urban, tmp_path, up)
     scene, made = fused(urban_run, tmp_path, dem, said, fill=fill, resolution=1.0)
-    found = FusionFacts.from_mapping(made).dem_offset
+    found = FusionFacts.from_mapping(made.to_mapping()).dem_offset
     assert found.file == dem and found.up_m == pytest.approx(
         true_offset(urban, urban_run.result["output"]) - up, abs=0.4
     )
@@ -68,7 +68,7 @@ def test_the_offset_is_that_of_the_truth(urban, urban_run, tmp_path, told, up, f
         return
     (warned,) = [warning for warning in said.warnings if "DEM" in warning]
     assert text in warned and f"at most {found.most_m:.1f} m are to be expected" in warned and "above" in text
-    facts = FusionFacts.from_mapping(made)
+    facts = FusionFacts.from_mapping(made.to_mapping())
     assert any(text in finding for finding in verdict.of_run(scene, facts))
     page = plain(pipeline_report(scene, {**urban_run.result, **made}, urban_run.result["seconds"], None).html())
     assert page.count(f"The DSM lies {found.up_m:.1f} m above the DEM") == 1 and "Nothing here measures" not in page
@@ -77,7 +77,7 @@ def test_the_offset_is_that_of_the_truth(urban, urban_run, tmp_path, told, up, f
 @pytest.mark.long
 def test_what_is_stated_decides_what_is_to_be_expected(urban_run, urban, tmp_path, told):
     scene, made = fused(urban_run, tmp_path, dem_of(urban, tmp_path, -20.0), told(), 90.0)
-    assert not FusionFacts.from_mapping(made).dem_offset.unexpected
+    assert not FusionFacts.from_mapping(made.to_mapping()).dem_offset.unexpected
     assert stated_height_deviation(scene) == 45.0
     controlled = replace(scene.pointing, height_uncertainty_m=None, control_information=np.diag([1.0, 1.0, 16.0]))
     assert stated_height_deviation(replace(scene, pointing=controlled)) == pytest.approx(0.25)

@@ -246,7 +246,7 @@ def test_layers_and_numbers(urban_run):
         "reconstruct",
         "dsmfuse",
     }
-    assert json.dumps(result, allow_nan=False)
+    assert json.dumps(result.to_mapping(), allow_nan=False)
 
 
 def test_progress_rises_to_the_end_and_names_what_it_does(urban_run):
