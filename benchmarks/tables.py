@@ -43,13 +43,14 @@ def _cell(value: object) -> str:
 
 
 def _revision() -> str:
-    """The revision that is measured, in words that follow a comma; "" where this is no clone."""
-    found = subprocess.run(["git", "-C", str(DOCS), "rev-parse", "--short", "HEAD"], capture_output=True, check=False)
+    """The revision that is measured and its day, in words that follow a comma; "" where this is no clone."""
+    words = ["git", "-C", str(DOCS), "log", "-1", "--format=%h (%ad)", "--date=short"]
+    found = subprocess.run(words, capture_output=True, check=False)
     return f", revision {found.stdout.decode().strip()}" if found.returncode == 0 else ""
 
 
 def publish(section: Section, texts: Sequence[str], docs: Path = DOCS) -> None:
-    """Write a section's texts: as the whole of its own page, or into a page, in the place of what the last run wrote."""
+    """Write a section's texts: the whole of its own page, or in the place of what the last run wrote into another."""
     made = f"`{section.command}`, Python {platform.python_version()} on {platform.machine()}{_revision()}."
     if not section.page:
         path = docs / "benchmarks" / f"{section.name}.md"

@@ -1,4 +1,4 @@
-"""What the pinhole model costs: on full Pleiades scenes as measured before the engine was written, and by the paper's formula."""
+"""What the pinhole model costs: on full Pleiades scenes as docs/benchmarks.md has it, and by the paper's formula."""
 
 from __future__ import annotations
 
