@@ -1,4 +1,4 @@
-"""Markdown tables, and the sections of docs/benchmarks.md that they are written into."""
+"""Markdown tables, and the pages of docs/benchmarks/ that they are written to; docs/benchmarks.md is kept by hand."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from typing import Callable, Dict, Iterable, List, Sequence, Union
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 
-class Details(str):
-    """A paragraph or a table that is too long for docs/benchmarks.md: it goes to docs/benchmarks/SECTION.md."""
+Details = str  # a paragraph or a table of many lines; it is written like any other
 
 
 @dataclass(frozen=True)
 class Section:
-    """A section of a page: the name of its markers, its title, the command that writes it, its parts, and the page.
+    """One subject: its name, its title, the command that writes it, its parts, and the page that it is written into.
 
     A part is a function that measures something and returns paragraphs and tables. It can be run alone, by its name.
+    Without a page the section has its own, docs/benchmarks/NAME.md; in one that is named, it stands between markers.
     """
 
     name: str
     title: str
     command: str
     parts: Dict[str, Callable[[], List[str]]]
-    page: str = "benchmarks.md"
+    page: str = ""
 
 
 def table(headers: Union[str, Sequence[str]], rows: Iterable[Sequence[object]]) -> str:
@@ -43,26 +43,25 @@ def _cell(value: object) -> str:
 
 
 def _revision() -> str:
-    """The revision that is measured, in words that follow a comma; "" where this is no clone."""
-    found = subprocess.run(["git", "-C", str(DOCS), "rev-parse", "--short", "HEAD"], capture_output=True, check=False)
+    """The revision that is measured and its day, in words that follow a comma; "" where this is no clone."""
+    words = ["git", "-C", str(DOCS), "log", "-1", "--format=%h (%ad)", "--date=short"]
+    found = subprocess.run(words, capture_output=True, check=False)
     return f", revision {found.stdout.decode().strip()}" if found.returncode == 0 else ""
 
 
 def publish(section: Section, texts: Sequence[str], docs: Path = DOCS) -> None:
-    """Write a section's texts into the pages, in the place of what the last run wrote there."""
+    """Write a section's texts: the whole of its own page, or in the place of what the last run wrote into another."""
     made = f"`{section.command}`, Python {platform.python_version()} on {platform.machine()}{_revision()}."
-    short = [text for text in texts if not isinstance(text, Details)]
-    details = [text for text in texts if isinstance(text, Details)]
-    if details:
-        file = f"benchmarks/{section.name}.md"
-        short.append(f"More tables: [{file}]({file}).")
-        (docs / file).parent.mkdir(exist_ok=True)
-        back = f"Short tables and other subjects: [benchmarks](../benchmarks.md). {made}"
-        (docs / file).write_text("\n\n".join([f"# {section.title}", back, *details]) + "\n", encoding="utf-8")
+    if not section.page:
+        path = docs / "benchmarks" / f"{section.name}.md"
+        path.parent.mkdir(exist_ok=True)
+        made = f"The headline figures of all subjects: [benchmarks](../benchmarks.md). {made}"
+        path.write_text("\n\n".join([f"# {section.title}", made, *texts]) + "\n", encoding="utf-8")
+        return
     begin, end = f"<!-- {section.name}: begin -->", f"<!-- {section.name}: end -->"
-    block = begin + "\n" + "\n\n".join([f"## {section.title}", made, *short]) + "\n" + end
+    block = begin + "\n" + "\n\n".join([f"## {section.title}", made, *texts]) + "\n" + end
     path = docs / section.page
-    page = path.read_text(encoding="utf-8") if path.exists() else "# Benchmarks\n"
+    page = path.read_text(encoding="utf-8")
     if begin in page:
         page = re.sub(re.escape(begin) + ".*?" + re.escape(end), lambda _: block, page, flags=re.DOTALL)
     else:

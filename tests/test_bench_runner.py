@@ -119,17 +119,24 @@ def test_a_function_runs_alone_and_says_what_it_used():
 
 
 def test_a_section_is_written_in_the_place_of_the_last_one(tmp_path):
-    (tmp_path / "benchmarks.md").write_text("# Benchmarks\n\nHow to read this.\n", encoding="utf-8")
+    (tmp_path / "cluster.md").write_text("# Clusters\n\nHow to read this.\n", encoding="utf-8")
+    section = Section("speed", "Speed", "make bench-speed", {}, "cluster.md")
+    publish(section, ["old", table("a | b", [[1, 2.34567]])], tmp_path)
+    publish(Section("other", "Other", "make bench-other", {}, "cluster.md"), ["kept"], tmp_path)
+    publish(section, ["new"], tmp_path)
+    page = (tmp_path / "cluster.md").read_text(encoding="utf-8")
+    assert page.startswith("# Clusters\n\nHow to read this.\n") and page.count("## Speed") == 1
+    assert "new" in page and "kept" in page and "old" not in page
+    assert page.index("## Speed") < page.index("## Other")
+
+
+def test_a_section_without_a_page_has_its_own(tmp_path):
     section = Section("speed", "Speed", "make bench-speed", {})
-    publish(section, ["old", Details(table("a | b", [[1, 2.34567]]))], tmp_path)
-    publish(Section("other", "Other", "make bench-other", {}), ["kept"], tmp_path)
-    publish(section, ["new", Details("long"), Details(table(["a", "b"], [["x", 0.5]]))], tmp_path)
-    page = (tmp_path / "benchmarks.md").read_text(encoding="utf-8")
-    assert page.startswith("# Benchmarks\n\nHow to read this.\n") and page.count("## Speed") == 1
-    assert "new" in page and "kept" in page and "old" not in page and "long" not in page
-    assert "[benchmarks/speed.md](benchmarks/speed.md)" in page and page.index("## Speed") < page.index("## Other")
-    details = (tmp_path / "benchmarks" / "speed.md").read_text(encoding="utf-8")
-    assert details.startswith("# Speed\n") and details.endswith("long\n\n| a | b |\n|---|---|\n| x | 0.5 |\n")
+    publish(section, ["old"], tmp_path)
+    publish(section, ["new", Details("long"), table(["a", "b"], [["x", 0.5]])], tmp_path)
+    page = (tmp_path / "benchmarks" / "speed.md").read_text(encoding="utf-8")
+    assert page.startswith("# Speed\n\n") and "`make bench-speed`" in page and "old" not in page
+    assert page.endswith("new\n\nlong\n\n| a | b |\n|---|---|\n| x | 0.5 |\n")
 
 
 def run(*words):

@@ -1,8 +1,8 @@
 """All numbers that matching chooses.
 
-"Chosen" means that no experiment is recorded. "Matching table" is the one of docs/benchmarks.md that changes one
-choice of the matcher at a time (``make bench-matching``); "subpixel table" is ``make bench-subpixel``, "masks table"
-``make bench-masks``, "towns table" ``make bench-towns``. Intensities are 0..1.
+"Chosen" means that no experiment is recorded. "Matching table" is that of docs/benchmarks/matching.md, which changes
+one choice of the matcher at a time (``make bench-matching``); "subpixel table" is ``make bench-subpixel``, "masks
+table" ``make bench-masks``, "towns table" ``make bench-towns``. Intensities are 0..1.
 """
 
 from __future__ import annotations

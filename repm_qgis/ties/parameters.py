@@ -1,7 +1,7 @@
 """All numbers that the search for tie points chooses.
 
-"Chosen" means that no experiment is recorded. "Pointing tables" are those of docs/benchmarks.md, "Where the images
-really look".
+"Chosen" means that no experiment is recorded. "Pointing tables" are those of
+docs/benchmarks/pointing.md, "Where the images really look".
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the pinhole model costs: on full Pleiades scenes as measured for DESIGN.md, and by the paper's formula."""
+"""What the pinhole model costs: on full Pleiades scenes as docs/benchmarks.md has it, and by the paper's formula."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.geometry.parameters import VIRTUAL_GRID
 from repm_qgis.rpc.readers import read_rpc_file
 
-# docs and DESIGN.md: RMSE and max in px, uncorrected and after the polynomial of second order.
+# docs/benchmarks.md: RMSE and max in px, uncorrected and after the polynomial of second order.
 TABLE = {
     "giza": ((22.5, 64.4), (1.23, 4.66)),
     "toulouse": ((19.0, 52.0), (1.13, 4.05)),
@@ -106,7 +106,7 @@ def test_the_error_grows_with_the_window_and_the_refined_image_holds_it(shared_d
         assert abs(refined.size[0] - side) < 0.1 * side and refined.camera.K[0, 1] == 0
         rmse.append(fitted.error.rmse)
     assert rmse[0] < rmse[1] < rmse[2]
-    assert rmse[2] == pytest.approx(1.85, rel=0.05)  # DESIGN.md: the central tile
+    assert rmse[2] == pytest.approx(1.85, rel=0.05)  # the central tile
 
 
 def test_the_refined_camera_sees_what_m_says(shared_data):

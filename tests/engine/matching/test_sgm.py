@@ -135,7 +135,7 @@ def test_auto_chooses_the_backend_with_the_better_figures(monkeypatch):
     monkeypatch.setattr(type(colmap), "usable", lambda self: True)
     monkeypatch.setattr(type(colmap), "remedy", lambda self: "")
     page = (Path(__file__).resolve().parents[3] / "docs" / "benchmarks.md").read_text(encoding="utf-8")
-    table = page.partition("<!-- cuda: begin -->")[2].partition("<!-- cuda: end -->")[0]
+    table = page.partition("## COLMAP's PatchMatch on CUDA")[2].partition("\n## ")[0]
     rows = re.findall(r"^\| (.+?) \| (sgm|colmap) " + 4 * r"\| (\S+) ", table, re.M)
     within = {(row[0], row[1]): float(row[5]) for row in rows}
     scenes = {scene for scene, _ in within}
