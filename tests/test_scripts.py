@@ -18,7 +18,7 @@ from tests.every_file import wrong
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PROGRAMS = [*sorted((ROOT / "scripts").glob("*.py")), ROOT / "scripts" / "demo", ROOT / "scripts" / "package"]
 PROGRAMS += [ROOT / "scripts" / name for name in ("scan", "repm-cluster", "qgis-matrix", "windows-trial")]
-PROGRAMS += [ROOT / "scripts" / name for name in ("workflow-trial", "release")]
+PROGRAMS += [ROOT / "scripts" / name for name in ("workflow-trial", "release", "fresh", "check-subject")]
 PROGRAMS += sorted((ROOT / "benchmarks").rglob("*.py"))
 
 
