@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Callable, ContextManager, Iterator, Mapping, O
 from ..contracts import options as _options
 from ..contracts.errors import MissingPackageError, OptionError
 from ..contracts.products import FOLDER, SCENE, paths_of
+from ..runtime.imports import require_fitting_numpy, show_proj_its_data
 from ..runtime.locks import exclusive
 from ..runtime.progress import Progress
 from ..runtime.shortage import shortage_as_error
@@ -61,6 +62,7 @@ def run_stage(
     from ..runtime.process_limits import one_thread_for_loaded_sums
 
     require_main()
+    show_proj_its_data()
     with following_links_of(_texts(options)), one_thread_for_loaded_sums():
         return _run(name, options, progress, parameters)
 
@@ -83,6 +85,8 @@ def _run(
     if name not in STAGES:
         raise OptionError("stage", name, f"must be one of {', '.join(STAGES)}")
     checked = STAGES[name].from_json(options)
+    if name != "environment":  # which reports it
+        require_fitting_numpy()
     from .collisions import require_distinct
 
     require_distinct(name, checked)
