@@ -149,6 +149,53 @@ def test_a_trial_runs_steps_as_a_workflow_does_and_names_the_one_that_fails(tmp_
         trial.Trial("job", {"steps": [{"uses": "someone/else@v1.0.0"}]}, tmp_path / "other", {}).run()
 
 
+PLAIN = ["Fix three wrong warnings", "Process empty tiles", "Embed the font", "Re-read the scene", "Merge branch 'a.'"]
+REFUSED = {
+    "": "Give the commit a subject",
+    "Fix " + "x" * 69: "Shorten the subject from 73 to 72 characters",
+    "Fix the warning.": "Leave out the full stop",
+    "Fix the warning; add a test": "one plain statement",
+    "Demo: print MEDAE": "one plain statement",
+    "fix the warning": "capitalised verb",
+    "The warning is gone": "capitalised verb in the imperative, such as 'Fix', and not with 'The'",
+    "It works": "capitalised verb",
+    "3 warnings fewer": "capitalised verb",
+    "Fixed the warning": "imperative: 'Fix' for 'Fixed'",
+    "Fixing the warning": "into the imperative",
+    "Adds a test": "into the imperative",
+}
+
+
+def test_subjects_of_commits_are_checked_by_the_hook(tmp_path):
+    yaml, program = pytest.importorskip("yaml"), str(ROOT / "scripts" / "check-subject")
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))["repos"][0]["hooks"]
+    (hook,) = [each for each in hooks if each["id"] == "subject"]
+    assert (hook["entry"], hook["stages"]) == ("scripts/check-subject", ["commit-msg"])
+    message = tmp_path / "COMMIT_EDITMSG"
+    for subject, words in {**dict.fromkeys(PLAIN, ""), **REFUSED}.items():
+        message.write_text(f"{subject}\n\nIt was: wrong; now it is right.\n# a comment of git's\n", encoding="utf-8")
+        if not subject:
+            message.write_text("# a comment of git's\n", encoding="utf-8")
+        done = subprocess.run([sys.executable, program, str(message)], capture_output=True, text=True, check=False)
+        assert done.returncode == bool(words) and words in done.stderr, (subject, done.stderr)
+        assert len(done.stderr.splitlines()) == bool(words)
+
+
+def git(*words):
+    done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+    return done.stdout.splitlines() if done.returncode == 0 else []
+
+
+def test_the_commits_since_the_hook_came_have_plain_subjects():
+    if git("rev-parse", "--is-shallow-repository") != ["false"]:
+        pytest.skip("no checkout with its history")
+    came = git("log", "--diff-filter=A", "--format=%H", "--", "scripts/check-subject")[-1:]
+    # What others began before it came is not theirs to change: commits that have it among their ancestors.
+    subjects = git("log", "--no-merges", "--ancestry-path", "--format=%s", f"{came[0]}..HEAD") if came else []
+    fault = script("check-subject").fault
+    assert {subject: told for subject in subjects if (told := fault(subject))} == {}
+
+
 @pytest.fixture
 def to_release(tmp_path, monkeypatch):
     """scripts/release in a checkout of its own, on main, whose addresses are real; its linters find nothing."""
