@@ -22,7 +22,14 @@ _OF_NUMPY = re.compile(
     r"NumPy C-API|A[BP]I version 0x"
 )
 _ENGINE = __name__.split(".runtime")[0]  # in QGIS, repm.repm_qgis
-_NOT_IT = {"", "numpy", "importlib", "__main__", *getattr(sys, "stdlib_module_names", ())}  # since Python 3.10
+_NOT_IT = {
+    _ENGINE.split(".")[0],
+    "",
+    "numpy",
+    "importlib",
+    "__main__",
+    *getattr(sys, "stdlib_module_names", ()),
+}  # since Python 3.10
 _NOT_BUILT = re.compile(r"cannot import name '_gdal_array'|No module named 'osgeo\._gdal_array'")
 
 
@@ -127,4 +134,4 @@ def _importer(error: Exception) -> str:
         top = name.split(".")[0]
         found += [top] if top not in _NOT_IT and not name.startswith(_ENGINE) else []
         trace = trace.tb_next
-    return found[-1] if found else "numpy"
+    return found[-1] if found else _ENGINE
