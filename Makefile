@@ -57,7 +57,7 @@ types: ## types alone (mypy): engine and benchmarks, the plugin's side, scripts 
 	@$(PYTHON) -m mypy
 	@mkdir -p $(TYPES) && ln -sfn ../../.. $(TYPES)/repm
 	@MYPYPATH=$(TYPES) $(PYTHON) -m mypy --cache-dir .mypy_cache/plugin -p repm.processing_provider -p repm.desktop -m repm.plugin
-	@$(PYTHON) -m mypy --cache-dir .mypy_cache/scripts --explicit-package-bases --scripts-are-modules --allow-any-generics \
+	@MYPYPATH=scripts $(PYTHON) -m mypy --cache-dir .mypy_cache/scripts --explicit-package-bases --scripts-are-modules --allow-any-generics \
 		$$(git ls-files 'tests/*.py' | grep -v '/test_[^/]*$$') $$(git ls-files 'scripts/*.py') $$(git grep -lI -e '^#!.*python' -- 'scripts/*' ':!*.py')
 
 LINT := dist/lint/tool

@@ -195,7 +195,8 @@ def _apt_settings() -> list[str]:
 def figures(report: str) -> dict:
     """Counts and what failed, from a JUnit file: the test's name and the first line of its message."""
     suite = next(ElementTree.fromstring(report).iter("testsuite"))  # noqa: S314 - our own pytest wrote it
-    failed, skipped = {}, {}
+    failed: dict[str, str] = {}
+    skipped: dict[str, str] = {}
     for case in suite.iter("testcase"):
         # A test that fails and then fails to clean up has two entries, and is one test.
         name = f"{case.get('classname', '').split('.')[-1]}::{case.get('name')}"

@@ -55,7 +55,7 @@ def texts_of(path: pathlib.Path) -> dict[str, list[str]]:
                 add(MODULES.get(path.name, context) if function else context, node.args[0])
         for target in getattr(node, "targets", []) + [getattr(node, "target", None)]:
             if isinstance(target, ast.Name) and target.id == "GROUPS":
-                for value in node.value.values:
+                for value in getattr(getattr(node, "value", None), "values", []):
                     add(BASE, value)
         for child in ast.iter_child_nodes(node):
             walk(child, context)
@@ -94,9 +94,9 @@ def translations(path: pathlib.Path) -> dict[tuple[str, str], str]:
         return {}
     import xml.dom.minidom as minidom  # our own file
 
-    def text(node, name: str) -> str:
+    def text(node: minidom.Element, name: str) -> str:
         inside = node.getElementsByTagName(name)[0].firstChild
-        return inside.data if inside else ""
+        return inside.data if isinstance(inside, minidom.Text) else ""
 
     document = minidom.parse(str(path))  # noqa: S318
     return {

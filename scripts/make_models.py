@@ -229,6 +229,8 @@ def main() -> int:
     spec = importlib.util.spec_from_file_location(
         "repm", os.path.join(root, "__init__.py"), submodule_search_locations=[root]
     )
+    if spec is None or spec.loader is None:
+        raise SystemExit(f"make_models: {root} is no package.")
     package = importlib.util.module_from_spec(spec)
     sys.modules["repm"] = package
     spec.loader.exec_module(package)

@@ -39,7 +39,10 @@ def fetched(folder: pathlib.Path) -> pathlib.Path:
         raise SystemExit(f"twgl: the package of version {VERSION} has the checksum {found}: it is not the known one.")
     with tarfile.open(packed) as archive:
         for name in ("package/LICENSE.md", "package/dist/7.x/twgl-full.module.js"):
-            (folder / pathlib.PurePosixPath(name).name).write_bytes(archive.extractfile(name).read())
+            member = archive.extractfile(name)
+            if member is None:
+                raise SystemExit(f"twgl: {name} is no file of the package of version {VERSION}.")
+            (folder / pathlib.PurePosixPath(name).name).write_bytes(member.read())
     return folder
 
 
