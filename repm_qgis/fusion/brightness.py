@@ -13,7 +13,6 @@ import numpy as np
 
 from ..contracts.arrays import Altitudes, FloatArray, FloatImage, Window
 from ..geometry.cell_grid import CellGrid
-from ..geometry.footprints import ray_slope
 from ..geometry.frames import geodetic_from_projected
 from ..geometry.tiles import pixel_window
 from ..imagery.enhancement import Stretch, view_stretch
@@ -23,7 +22,7 @@ from ..imagery.sampling import median_of_known
 from ..imagery.warping import sample_source
 from ..scene import Scene, View
 from .parameters import FUSION, BrightnessParameters, VisibilityParameters
-from .visible import blocked, nadir_first, pixels_on
+from .visible import blocked, line_of_sight, nadir_first, pixels_on
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class Witnesses:
         views = tuple(view for view in nadir_first(scene) if not view.missing)
         place, level = np.array([scene.frame.lon, scene.frame.lat]), sum(scene.altitudes) / 2
         stretches = tuple(view_stretch(v.image, v.band, v.mask, parameters, v.part) for v in views)
-        return cls(views, stretches, tuple(ray_slope(view, place, level) for view in views), crs, scene.altitudes)
+        return cls(views, stretches, tuple(line_of_sight(view, place, level) for view in views), crs, scene.altitudes)
 
 
 def brightness(

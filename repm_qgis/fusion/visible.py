@@ -113,13 +113,16 @@ def _squares(grid: CellGrid, side: int) -> Iterator[Tuple[CellGrid, Tuple[slice,
 
 
 def slope_over(view: View, grid: CellGrid, height: Floats, crs: str) -> FloatArray:
-    """How far a view's line of sight goes east and north for each m up, over the middle of some cells.
-
-    Raises RpcInvalidError where the view's model has no line of sight there.
-    """
+    """:func:`line_of_sight` over the middle of some cells."""
     xs, ys = grid.centres()
     centre = geodetic_from_projected(crs, np.array([xs[len(xs) // 2], ys[len(ys) // 2]]))
-    slope = ray_slope(view, centre, float(np.nanmedian(height)))
+    return line_of_sight(view, centre, float(np.nanmedian(height)))
+
+
+def line_of_sight(view: View, lon_lat: FloatArray, altitude: float) -> FloatArray:
+    """(2,) how far a view's line of sight goes east and north, m for each m up; raises RpcInvalidError where its model
+    has none there."""
+    slope = ray_slope(view, lon_lat, altitude)
     if not np.isfinite(slope).all():
         raise RpcInvalidError(
             f"The RPC of '{view.image}' has no line of sight over the surface: use the image's own RPC."

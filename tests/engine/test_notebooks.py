@@ -22,7 +22,7 @@ def test_a_notebook_runs_and_has_no_outputs(path, tmp_path):
     assert notebook["nbformat"] == 4 and len(cells) >= 3
     assert not [cell for cell in cells if cell["outputs"] or cell["execution_count"] is not None]
     script = tmp_path / "notebook.py"
-    found = "\n\nimport json\nprint(json.dumps([compared['nmad'], made['valid_percent'], list(heights.shape)]))\n"
+    found = "\n\nimport json\nprint(json.dumps([compared.nmad, made.valid_percent, list(heights.shape)]))\n"
     script.write_text("\n\n".join("".join(cell["source"]) for cell in cells) + found, encoding="utf-8")
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
     done = subprocess.run([sys.executable, str(script)], env=environment, capture_output=True, text=True)

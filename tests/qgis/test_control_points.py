@@ -30,7 +30,7 @@ def test_points_are_measured_by_mouse_and_keys_and_taken_by_gcps(desktop_start, 
     pixels = {gcp.id: {view: list(pixel) for view, pixel in gcp.pixels.items()} for gcp in known}
     elsewhere = tmp_path / "elsewhere.csv"
     elsewhere.write_text("id,lon,lat,height,view,col,row\nA,1.44,43.6,190,img_01,9,9\nA,1.44,43.6,190,img_09,9,9\n")
-    plan = {"made": town, "points": str(places), "pixels": pixels, "elsewhere": str(elsewhere)}
+    plan = {"made": vars(town), "points": str(places), "pixels": pixels, "elsewhere": str(elsewhere)}
     found = desktop_start("drive_control_points.py", plan)
     assert found["first words"].startswith("Choose the images")
     assert "1 measurement in images that are not used here (img_09)" in found["elsewhere"]

@@ -126,7 +126,7 @@ def pixels_of(path):
 @pytest.mark.long
 def test_pycolmap_sees_what_the_refined_cameras_see(exported, scenes, ground, form):
     model, result = exported("colmap", centre=False)
-    assert result.images == 3 and result.models == [str(model)]
+    assert result.images == 3 and result.models == (str(model),)
     tile = next(tile for tile in Scene.load(scenes["refined"]).tiles if tile.id == TILE)
     pixels = colmap_pixels(model, ground[1], form)
     assert set(pixels) == set(tile.views)

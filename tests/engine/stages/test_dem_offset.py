@@ -41,7 +41,7 @@ def fused(run, folder, dem, said, uncertain=6.0, **options):
 
 def true_offset(truth, dsm):
     """How far the DSM lies above the true surface, m."""
-    return run_stage("comparedsm", {"dsm": dsm, "reference": truth.truth}, told_nothing())["bias"]
+    return run_stage("comparedsm", {"dsm": dsm, "reference": truth.truth}, told_nothing()).bias
 
 
 def told_nothing():
