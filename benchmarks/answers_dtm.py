@@ -133,9 +133,11 @@ def _lidar(count: int) -> Case:
     return replace(_lidar_itself(), name=f"`jax_068`, {count} views", **files)
 
 
-def _cases(folder: str) -> List[Case]:
-    found = [_town(), _town_on_hills(folder), _hills()]
-    return found + ([_lidar(2), _lidar(19), _lidar_itself()] if (SHARED / "jax_068").exists() else [])
+def _cases(folder: str) -> List[Callable[[], Case]]:
+    """The cases, which are made when they are called for."""
+    found: List[Callable[[], Case]] = [_town, lambda: _town_on_hills(folder), _hills]
+    real: List[Callable[[], Case]] = [lambda: _lidar(2), lambda: _lidar(19), _lidar_itself]
+    return found + (real if (SHARED / "jax_068").exists() else [])
 
 
 def _on_truth(path: str, case: Case, alignment: Alignment, added: Optional[np.ndarray] = None) -> np.ndarray:
@@ -218,7 +220,8 @@ def terrain() -> List[str]:
         methods.update({"bulldozer-dtm": _theirs("bulldozer"), "cloth-simulation-filter": _theirs("cloth")})
     rows: List[List[object]] = []
     with tempfile.TemporaryDirectory() as folder:
-        for case in few(_cases(folder)):
+        for make in few(_cases(folder)):
+            case = make()
             alone = {_PERFECT: _medians} if case.dsm == case.reference else {}
             for name, method in {**methods, **alone}.items():
                 start = time.monotonic()
@@ -272,7 +275,8 @@ def heights() -> List[str]:
     """Each building's median height against the true one."""
     with tempfile.TemporaryDirectory() as folder:
         rows = []
-        for case in (_town(), _town_on_hills(folder)):
+        for make in few((_town, lambda: _town_on_hills(folder))):
+            case = make()
             _, above = _ours(case, folder)
             flat = case if case.added is None else _town()
             alignment = replace(score_files(flat.dsm, case.reference, "3d").alignment, dz=0.0)

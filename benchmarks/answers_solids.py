@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import tempfile
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Dict, List, Sequence, Tuple
 
@@ -22,7 +23,7 @@ import numpy as np
 
 from benchmarks import answers_dtm, answers_walls
 from benchmarks.clouds import make, megabytes
-from benchmarks.runner import ROOT, Alone, Failed, alone, few, say, stage
+from benchmarks.runner import ROOT, Alone, Failed, alone, few, is_quick, say, stage
 from benchmarks.scenes import SHARED
 from benchmarks.tables import table
 from repm_qgis.imagery.raster import opened, read, write
@@ -78,7 +79,8 @@ def found_shift(dsm: str, reference: str, method: str) -> Tuple[List[float], flo
 
 def _cases() -> List[answers_dtm.Case]:
     """The simulated town, and the real one where it is."""
-    return [answers_dtm._town(), *([answers_dtm._lidar(19)] if (SHARED / "jax_068").exists() else [])]
+    real = (SHARED / "jax_068").exists() and not is_quick()
+    return [answers_dtm._town(), *([answers_dtm._lidar(19)] if real else [])]
 
 
 def _shifts() -> List[str]:
@@ -187,6 +189,11 @@ def _meshes() -> List[str]:
 # Readers of other programs ----------------------------------------------------------------------------------------
 
 
+def has_library() -> bool:
+    """Whether REPM_SOLIDS_PYTHON names a Python."""
+    return Path(_PYTHON).is_file()
+
+
 def library(*arguments: str) -> Dict[str, object]:
     script = str(ROOT / "benchmarks" / "solids_libraries.py")
     done = subprocess.run([_PYTHON, script, *arguments], capture_output=True, text=True, check=False)
@@ -197,7 +204,7 @@ def library(*arguments: str) -> Dict[str, object]:
 
 
 def _open3d(path: str) -> str:
-    if not Path(_PYTHON).is_file():
+    if not has_library():
         return "not tried: REPM_SOLIDS_PYTHON names no Python"
     try:
         found = library("read", path)
@@ -242,10 +249,9 @@ def qgis_count(path: str, provider: str) -> int:
 
 
 def _qgis(path: str, provider: str) -> str:
-    try:
-        count = alone(qgis_count, path, provider).result
-    except Failed as error:
-        return f"not tried: {error}"
+    if find_spec("qgis") is None:
+        return "not tried: QGIS is absent"
+    count = alone(qgis_count, path, provider).result
     return str(count) if count >= 0 else "no: not a valid layer"
 
 
@@ -254,7 +260,7 @@ def _qgis(path: str, provider: str) -> str:
 
 def _surfaces() -> List[str]:
     """What open3d makes of the same mesh and cloud."""
-    if not Path(_PYTHON).is_file():
+    if not has_library():
         return ["Simplified meshes and surfaces of points were not measured: REPM_SOLIDS_PYTHON names no Python."]
     town = answers_walls.towns()[0]()
     simple: List[List[object]] = []

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks import answers_walls
-from benchmarks.beside import Beside, compared_with
+from benchmarks.beside import ABSENT, Beside, compared_with
 from benchmarks.runner import is_quick, say
 from repm_qgis.simulation.surface import interpolate
 from repm_qgis.solids import cloud_points
@@ -130,7 +130,7 @@ def rows() -> List[Beside]:
         (alike, "points of each pair by themselves"),
         (together, "open3d: of all pairs, one camera above"),
     ):
-        theirs = _figures(_all(both.theirs)[chosen], *judged)
+        theirs = [ABSENT] * 3 if both.theirs is None else _figures(_all(both.theirs)[chosen], *judged)
         for number, figure in enumerate(names):
             part = "normals that look to the cameras" if both is alike and number == 0 else ""
             row = both.row(part, "" if number else data, figure, ours[number], theirs[number])

@@ -23,6 +23,7 @@ from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.geometry.interpolation import upsample_grid
 from repm_qgis.geometry.refinement import PolynomialMap, Terrain
 from repm_qgis.geometry.surface import Surface
+from repm_qgis.imagery.raster import write
 from repm_qgis.rpc import Rpc
 from repm_qgis.rpc.fit import fit_rpc
 from repm_qgis.rpc.parameters import RpcFitParameters
@@ -280,14 +281,19 @@ def project_seconds() -> float:
     return time.process_time() - start
 
 
+def full_image(look: int, folder: str) -> str:
+    """A full scene's image with content everywhere: a small one of noise, enlarged by a VRT."""
+    small, path = f"{folder}/{look}_small.tif", f"{folder}/{look}.vrt"
+    write(small, [np.random.default_rng(look).integers(200, 2000, (400, 400)).astype(np.uint16)], None, "")
+    image = gdal.Translate(path, small, format="VRT", width=40000, height=40000)
+    image.SetMetadata(rpc_tags(full_rpc(look)), "RPC")
+    image = None  # noqa: F841 - it is written now
+    return path
+
+
 def error_map_seconds() -> float:
     with tempfile.TemporaryDirectory() as folder:
-        images = [f"{folder}/{look}.tif" for look in (1, 0)]
-        for look, path in zip((1, 0), images):
-            options = ["SPARSE_OK=TRUE", "TILED=YES"]
-            image = gdal.GetDriverByName("GTiff").Create(path, 40000, 40000, 1, gdal.GDT_UInt16, options)
-            image.SetMetadata(rpc_tags(full_rpc(look)), "RPC")
-            image = None
+        images = [full_image(look, folder) for look in (1, 0)]
         area: Dict[str, object] = {"altitude_min": 0.0, "altitude_max": 1500.0, "tile_size": 10000}
         made = stage("epmfit", images=images, workspace=f"{folder}/w", **area)
         start = time.perf_counter()

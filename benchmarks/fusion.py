@@ -40,8 +40,9 @@ Work = Tuple[Scene, str, Bounds, Altitudes, Tuple[str, str], str]
 
 def made_up_images(size: int, folder: Path) -> List[str]:
     """Images of noise with RPCs: the heights are made up as well, but a town's choice reads its images."""
-    paths, noise = [], np.random.default_rng(5).integers(40, 200, (256, size)).astype(np.uint8)
+    paths, random = [], np.random.default_rng(5)
     for view in make_views(SceneSpec.default("urban", size, 1)):
+        noise = random.integers(40, 200, (256, size)).astype(np.uint8)  # of its own: no two files show the same image
         paths.append(str(folder / f"{view.name}.tif"))
         dataset = gdal.GetDriverByName("GTiff").Create(paths[-1], size, size, 1, gdal.GDT_Byte, ["TILED=YES"])
         for row in range(0, size, len(noise)):

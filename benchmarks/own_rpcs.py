@@ -18,7 +18,9 @@ from repm_qgis.planning.height_uncertainty import height_uncertainty
 from repm_qgis.pointing import exchanged, pointing
 from repm_qgis.pointing.exchanged import Exchange, exchanges
 from repm_qgis.runtime.progress import Silent
+from repm_qgis.scene import View
 from repm_qgis.stages import run_stage
+from repm_qgis.ties.tracks import Track
 
 
 class _Heard(Exception):
@@ -62,9 +64,9 @@ def _told(images: Sequence[str]) -> Dict[str, object]:
     found: Dict[str, object] = {"pairs": []}
     checks, log = pointing.require_own_rpcs, pointing._log
 
-    def every_pair(*given: object) -> None:
-        found["pairs"] = list(exchanges(*given[:3]))
-        checks(*given)
+    def every_pair(views: Sequence[View], tracks: Sequence[Track], altitude: float, *given: Any, **named: Any) -> None:
+        found["pairs"] = list(exchanges(views, tracks, altitude))
+        checks(views, tracks, altitude, *given, **named)
 
     def heard(views: Any, figures: Any, *rest: object) -> None:
         found.update(views=views, figures=figures)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -154,9 +155,13 @@ def measured(
     for reader in readers:
         reader.start()
     peak = 0.0
-    while process.poll() is None:
-        peak = max(peak, (memory_gib or tree_gib)(process.pid))
-        time.sleep(0.1)
+    try:
+        while process.poll() is None:
+            peak = max(peak, (memory_gib or tree_gib)(process.pid))
+            time.sleep(0.1)
+    finally:
+        if process.poll() is None:  # this process is interrupted
+            os.killpg(process.pid, signal.SIGKILL)
     for reader in readers:
         reader.join()
     after = os.times()

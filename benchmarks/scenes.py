@@ -94,6 +94,12 @@ def real(*names: str) -> List[Scene]:
     return found
 
 
+def real_or_town(*names: str) -> List[Scene]:
+    """The real scenes of these names that are there; where none is, a simulated town that says so in its name."""
+    town = default("urban", 800, 1) if not real(*names) else None
+    return [replace(town, name="simulated town (real images are absent)")] if town else real(*names)
+
+
 def whu_tlc() -> List[Scene]:
     """The real three-line images of WHU-TLC's four neighbouring blocks that are there, with their DSMs of lidar."""
     folder, found = SHARED / "whu_tlc", []

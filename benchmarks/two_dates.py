@@ -137,12 +137,17 @@ def spec_of(size: int, seed: int, date: int) -> SceneSpec:
 
 def dates(size: int, seed: int) -> Dates:
     """The town with its DSMs, in the cache under its seed and size."""
-    size = 400 if is_quick() else size
-    folder = CACHE / f"dates_{seed}_{size}"
-    images = made_once(folder, lambda: _simulate(folder, size, seed))
+    folder = images = images_of(size, seed)
     for name, (date, numbers) in DSMS.items():
         made_once(folder / name, lambda: _reconstruct(images, folder / name, date, numbers))  # noqa: B023 - runs now
     return Dates(folder)
+
+
+def images_of(size: int, seed: int) -> Path:
+    """The folder of the town's images, in the cache."""
+    size = 400 if is_quick() else size
+    folder = CACHE / f"dates_{seed}_{size}"
+    return made_once(folder, lambda: _simulate(folder, size, seed))
 
 
 def _reconstruct(images: Path, folder: Path, date: int, numbers: Sequence[int]) -> None:
