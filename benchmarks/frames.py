@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.pointing_case import fitted
 from benchmarks.runner import alone, is_quick, pipeline
-from benchmarks.scenes import CACHE, made_once
+from benchmarks.scenes import CACHE, made_once, simulation
 from benchmarks.scoring import scores, shares
 from benchmarks.simulated.frames import Exposure, exposed, frames_of, make_frames
 from benchmarks.tables import Section, table
@@ -123,7 +123,7 @@ def _mixed_images() -> Path:
         for where, pitch in _SIDES
     ]
     folder = CACHE / f"mixed_{side}"
-    return made_once(folder, lambda: make_frames(spec, exposures, str(folder), Silent()))
+    return made_once(folder, lambda: make_frames(spec, exposures, str(folder), Silent(), simulation()))
 
 
 def mixed() -> List[str]:

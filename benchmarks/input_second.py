@@ -428,7 +428,7 @@ def _half(images: Sequence[str], bounds: Bounds, crs: str, side: int, folder: Pa
 def sound_mosaics() -> List[str]:
     """What a mosaic says of two parts of a sound scene, one in metres and one in feet."""
     rows = []
-    for name, images in few(list(sound_scenes())):
+    for name, images in few(sound_scenes()):
         say(f"{name} ...")
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place)

@@ -39,7 +39,9 @@ def sound_scenes() -> Iterator[Tuple[str, Sequence[str]]]:
     for kind, seeds in (("urban", (4, 5, 6, 7, 8)), ("mountains", (3, 5, 6, 7))):
         for seed in seeds:
             yield f"simulated {kind}, seed {seed}", default(kind, 800, seed).images[:2]
-    yield "simulated ZY-3", _three_lines()
+    first, middle, last = _three_lines()
+    yield "simulated ZY-3", (first, middle, last)
+    yield "simulated ZY-3, forward and backward", (first, last, middle)
 
 
 def _three_lines() -> Sequence[str]:
@@ -111,9 +113,7 @@ def _row(name: str, images: Sequence[str]) -> List[object]:
 
 def own_rpcs() -> List[str]:
     rows = []
-    first, middle, last = _three_lines()
-    scenes = [*sound_scenes(), ("simulated ZY-3, forward and backward", [first, last, middle])]
-    for name, images in few(scenes):
+    for name, images in few(sound_scenes()):
         say(f"{name} ...")
         rows.append(_row(name, images))
     heads = (

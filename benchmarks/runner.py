@@ -11,8 +11,9 @@ import threading
 import time
 from dataclasses import dataclass
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, TypeVar
+from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence, Tuple, TypeVar
 
 from repm_qgis.runtime.parallel import cores
 from repm_qgis.runtime.process_limits import bound_cache
@@ -35,9 +36,9 @@ def is_quick() -> bool:
     return _settings["quick"]
 
 
-def few(items: Sequence[Item]) -> Sequence[Item]:
-    """The cases of a benchmark: all, or the first of a quick run."""
-    return items[:1] if is_quick() else items
+def few(items: Iterable[Item]) -> List[Item]:
+    """The cases of a benchmark: all, or the first of a quick run, before which none of the others is made."""
+    return list(islice(items, 1 if is_quick() else None))
 
 
 def say(text: object) -> None:

@@ -14,6 +14,7 @@ from typing import Callable, List, Optional, Sequence
 
 from benchmarks.runner import ROOT, is_quick, say
 from repm_qgis.runtime.progress import Silent
+from repm_qgis.simulation.parameters import SIMULATION, SimulationParameters
 from repm_qgis.simulation.scene import SceneSpec, make_scene
 from repm_qgis.simulation.sensor import ZY3
 
@@ -52,11 +53,17 @@ def quick_size(px: int, sensor: str = "PLEIADES") -> int:
     return min(px, _QUICK_PX[sensor]) if is_quick() else px
 
 
+def simulation() -> SimulationParameters:
+    """Those of the engine; quick images have one ray for each pixel, which takes half of the time."""
+    one_ray = replace(SIMULATION, render=replace(SIMULATION.render, oversample=1))
+    return one_ray if is_quick() else SIMULATION
+
+
 def simulated(name: str, spec: SceneSpec, resolution: float = 0.5) -> Scene:
     """A truth scene, in the cache under a name and its size."""
     spec = replace(spec, size=quick_size(spec.size, spec.sensor.name))
-    folder = CACHE / f"{name}_{spec.size}"
-    made_once(folder, lambda: make_scene(spec, str(folder), Silent()))
+    folder = CACHE / f"{name}_{spec.size}{'_quick' * is_quick()}"
+    made_once(folder, lambda: make_scene(spec, str(folder), Silent(), simulation()))
     images = [str(folder / f"img_{i:02d}.tif") for i in range(1, len(spec.sensor.looks) + 1)]
     return Scene(folder.name, images, str(folder / "truth.tif"), resolution, True, spec)
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from osgeo import ogr
 
 from benchmarks.runner import is_quick, pipeline
-from benchmarks.scenes import CACHE, made_once
+from benchmarks.scenes import CACHE, made_once, simulation
 from repm_qgis.contracts.arrays import FloatImage, IntArray, Mask
 from repm_qgis.files.vector import write_layer
 from repm_qgis.runtime.progress import Silent
@@ -180,7 +180,15 @@ def _simulate(folder: Path, size: int, seed: int) -> None:
         biases = pointing_errors(len(fits), seed + 50 * date)
         for number, (view, fit, bias) in enumerate(zip(views[date], fits, biases), start=1):
             path = str(folder / f"date_{date}_{number}.tif")
-            write_image(path, view, fit.rpc.shifted(-bias[0], -bias[1]), surface, seed + 31 * date + number, Silent())
+            write_image(
+                path,
+                view,
+                fit.rpc.shifted(-bias[0], -bias[1]),
+                surface,
+                seed + 31 * date + number,
+                Silent(),
+                simulation(),
+            )
         square = common_square(surface, views[date], spec.surface_step, SIMULATION.control)
         write_truth(str(folder / f"truth_{date}.tif"), surface, square, spec.surface_step)
     _write_changes(folder, spec.crs, ground, chosen, heights)
