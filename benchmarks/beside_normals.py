@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from benchmarks import answers_walls
 from benchmarks.beside import ABSENT, Beside, compared_with
-from benchmarks.runner import is_quick, say
+from benchmarks.runner import few, is_quick, say
 from repm_qgis.simulation.surface import interpolate
 from repm_qgis.solids import cloud_points
 from repm_qgis.solids.normals import normals
@@ -103,11 +103,11 @@ def rows() -> List[Beside]:
     """Angles from the true normals, with the points of each map by themselves, and all together under one camera."""
     say("normals")
     town = answers_walls.towns()[0]()
-    maps = _maps(town)[: 3 if is_quick() else None]
+    maps = few(_maps(town))
     points = np.concatenate([xyz for xyz, _, _ in maps])
     origin = points.mean(axis=0).round()
     chosen = np.flatnonzero(town.truth.inside(points + town.shift))
-    chosen = np.random.default_rng(0).permutation(chosen)[:_MOST]
+    chosen = np.random.default_rng(0).permutation(chosen)[: _MOST // (10 if is_quick() else 1)]
     judged = _true_normals(town, points[chosen] + town.shift)
 
     def prepare(folder: str) -> None:

@@ -13,7 +13,7 @@ from typing import Any, List, Tuple
 
 import numpy as np
 
-from benchmarks.runner import alone, few
+from benchmarks.runner import alone, is_quick
 from benchmarks.tables import Section, table
 
 CRS, WEST, NORTH = "EPSG:32631", 600000.0, 4800000.0
@@ -91,7 +91,7 @@ def megabytes(path: str) -> float:
 
 def displays() -> List[str]:
     rows: List[List[object]] = []
-    for side in few((1400, 4472)):
+    for side in (300,) if is_quick() else (1400, 4472):
         with tempfile.TemporaryDirectory() as folder:
             alone(make, folder, side)
             count = side * side / 1e6

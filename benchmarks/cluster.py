@@ -88,7 +88,8 @@ def _compared(images: Sequence[str], folder: Path, workers: int, pairs: int) -> 
     peak_gib = 0.0
     same = True
     try:
-        _run(default("urban", 400, 1).images, folder / "warm", cluster=cluster.address)  # the workers' imports
+        if not is_quick():  # the workers' imports
+            _run(default("urban", 400, 1).images, folder / "warm", cluster=cluster.address)
         for pair in range(pairs):
             own = _run(images, folder / f"own{pair}", workers=workers).cpu_s
             before = _cpu(cluster.scheduler, *cluster.workers)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Dict, List, Sequence, Tuple
 
@@ -138,7 +139,7 @@ def spec_of(size: int, seed: int, date: int) -> SceneSpec:
 def dates(size: int, seed: int) -> Dates:
     """The town with its DSMs, in the cache under its seed and size."""
     folder = images = images_of(size, seed)
-    for name, (date, numbers) in DSMS.items():
+    for name, (date, numbers) in islice(DSMS.items(), 2 if is_quick() else None):
         made_once(folder / name, lambda: _reconstruct(images, folder / name, date, numbers))  # noqa: B023 - runs now
     return Dates(folder)
 
