@@ -56,7 +56,9 @@ def quickly(name: str, limit: float, environment: Dict[str, str]) -> List[object
                 os.killpg(process.pid, ending)
         if process.wait() and not outcome:
             outcome = f"ended with code {process.returncode}"
-        tables, log = (file.seek(0) or file.read() for file in (printed, said))
+        for file in (printed, said):
+            file.seek(0)
+        tables, log = printed.read(), said.read()
     print(tables, flush=True)
     outcome = outcome or ("ok" if figures(tables) else "printed no figure")
     if outcome != "ok":

@@ -17,15 +17,16 @@ import tempfile
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Dict, List, Sequence, Tuple
+from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 
 from benchmarks import answers_dtm, answers_walls
 from benchmarks.clouds import make, megabytes
-from benchmarks.runner import ROOT, Alone, Failed, alone, few, is_quick, say, stage
+from benchmarks.runner import ROOT, Alone, Failed, alone, few, is_quick, say, stage, there
 from benchmarks.scenes import SHARED
 from benchmarks.tables import table
+from repm_qgis.contracts.stages import COMPAREDSM, DSMFUSE
 from repm_qgis.imagery.raster import opened, read, write
 from repm_qgis.solids.mesh import write_mesh
 from repm_qgis.solids.parameters import SOLIDS
@@ -73,8 +74,8 @@ def _moved(dsm: str, shift: Sequence[float], path: str) -> None:
 
 def found_shift(dsm: str, reference: str, method: str) -> Tuple[List[float], float]:
     """What is to be added to a DSM, and the RMSE after that."""
-    result = stage("comparedsm", dsm=dsm, reference=reference, align=method)
-    return [result[name] for name in ("dx", "dy", "dz")], result["rmse"]
+    result = stage(COMPAREDSM, dsm=dsm, reference=reference, align=method)
+    return [result.dx, result.dy, result.dz], there(result.rmse)
 
 
 def _cases() -> List[answers_dtm.Case]:
@@ -99,9 +100,9 @@ def _shifts() -> List[str]:
                         place, _ = found_shift(moved, reference, method)
                         errors.append(np.abs(np.add(place, shift) - base.result[0]))
                     flat, up = np.max(errors, axis=0)[:2].max(), np.max(errors, axis=0)[2]
-                    place = ", ".join(f"{value:+.2f}" for value in base.result[0])
+                    found = ", ".join(f"{value:+.2f}" for value in base.result[0])
                     cost = [f"{base.cpu_s:.1f}", round(base.mib)]
-                    row = [f"{flat:.3f}", f"{up:.3f}", place, f"{base.result[1]:.2f}", *cost]
+                    row = [f"{flat:.3f}", f"{up:.3f}", found, f"{base.result[1]:.2f}", *cost]
                     rows.append([case.name, name, method, *row])
     headers = (
         "DSM | reference | ALIGN | largest error of a known shift, m | of its height, m | dx, dy, dz of the DSM, m | "
@@ -123,8 +124,8 @@ def write_mesh_of(dsm: str, path: str, vertices: int) -> List[int]:
 def fuse_cloud(scene: str, folder: str, cloud: str, normals: bool) -> int:
     """Fuse a scene with a cloud, "" for none; the number of points."""
     files = {"output": f"{folder}/dsm.tif", "cloud": cloud or None}
-    made = stage("dsmfuse", scene=scene, resolution=0.5, colour="greys", workers=1, cloud_normals=normals, **files)
-    return int(made["points"])
+    made = stage(DSMFUSE, scene=scene, resolution=0.5, colour="greys", workers=1, cloud_normals=normals, **files)
+    return int(made.points)
 
 
 def _clouds() -> List[str]:
@@ -194,12 +195,12 @@ def has_library() -> bool:
     return Path(_PYTHON).is_file()
 
 
-def library(*arguments: str) -> Dict[str, object]:
+def library(*arguments: str) -> Dict[str, Any]:
     script = str(ROOT / "benchmarks" / "solids_libraries.py")
     done = subprocess.run([_PYTHON, script, *arguments], capture_output=True, text=True, check=False)
     if done.returncode:
         raise Failed((done.stderr.strip().splitlines() or ["ended"])[-1][:100])
-    found: Dict[str, object] = json.loads(done.stdout.splitlines()[-1])
+    found: Dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return found
 
 
@@ -319,7 +320,7 @@ def write_thinned(dsm: str, path: str, step: int) -> List[int]:
     return [facts.vertices, facts.faces]
 
 
-def _mesh_row(name: str, vertices: int, made: Alone, found: Dict[str, object]) -> List[object]:
+def _mesh_row(name: str, vertices: int, made: Alone, found: Dict[str, Any]) -> List[object]:
     return [name, vertices, found["triangles"], *found["cells"], f"{made.cpu_s:.1f}", round(made.mib)]
 
 

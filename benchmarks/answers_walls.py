@@ -12,9 +12,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks import answers_dtm
-from benchmarks.runner import few, is_quick, say
+from benchmarks.runner import few, is_quick, say, stage, there
 from benchmarks.scenes import Scene, simulated
 from benchmarks.tables import table
+from repm_qgis.contracts.stages import DSMFUSE
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.imagery.raster import opened
 from repm_qgis.runtime.progress import Silent
@@ -23,7 +24,6 @@ from repm_qgis.simulation.scene import SceneSpec, make_views, surface_bounds
 from repm_qgis.simulation.sensor import PLEIADES, Look
 from repm_qgis.simulation.surface import Ground, interpolate
 from repm_qgis.simulation.town import Town
-from repm_qgis.stages import run_stage
 from repm_qgis.stages.parameters import ENGINE, EngineParameters
 
 _HALF_M = 150.0  # of the square in the middle of a scene in which points are compared
@@ -127,8 +127,8 @@ def towns() -> List[Callable[[], Town3d]]:
 def fused(town: Town3d, folder: str, parameters: EngineParameters = ENGINE, **more: object) -> Tuple[str, str]:
     """The DSM and the cloud of a town's scene, with ``more`` options."""
     made = {"output": f"{folder}/dsm.tif", "cloud": f"{folder}/cloud.laz", **more}
-    run_stage("dsmfuse", {"scene": town.scene, "resolution": 0.5, "colour": "greys", **made}, Silent(), parameters)
-    return made["output"], made["cloud"]
+    result = stage(DSMFUSE, Silent(), parameters, scene=town.scene, resolution=0.5, colour="greys", **made)
+    return result.output, there(result.cloud)
 
 
 def compared(town: Town3d, cloud: str) -> np.ndarray:
@@ -148,7 +148,7 @@ def _figures(town: Town3d, points: np.ndarray) -> List[object]:
 def walls() -> List[str]:
     """What the rule for points on walls keeps, and what it costs."""
     cloud = ENGINE.solids.cloud
-    rules: Dict[str, object] = {
+    rules = {
         "on the DSM alone": replace(cloud, wall_cells=0),
         "and on walls, of one cell around": replace(cloud, wall_cells=1),
         "**and on walls, of two cells around**": cloud,

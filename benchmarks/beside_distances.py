@@ -8,6 +8,7 @@ import numpy as np
 
 from benchmarks.beside import ABSENT, Beside, compared_with
 from benchmarks.runner import few, say, stage
+from repm_qgis.contracts.stages import COMPAREDSM
 from repm_qgis.evaluation.comparison import gradient
 from repm_qgis.imagery.raster import opened, read, write
 
@@ -77,7 +78,7 @@ _CASES: Dict[str, Callable[[], _Surfaces]] = {
 def own(folder: str) -> None:
     """Our own comparison of the two rasters of a folder."""
     files = {"dsm": f"{folder}/dsm.tif", "reference": f"{folder}/reference.tif", "error": f"{folder}/error.tif"}
-    stage("comparedsm", align="none", **files)
+    stage(COMPAREDSM, align="none", **files)
 
 
 def rows() -> List[Beside]:

@@ -42,8 +42,8 @@ def own(folder: str) -> None:
     given, made, number = np.load(f"{folder}/data.npz"), {}, 0
     walls = np.load(f"{folder}/walls.npz")
     while f"xyz_{number}" in given.files:
-        ray = tuple(float(part) for part in walls[f"ray_{number}"])
-        made[f"normals_{number}"] = normals(given[f"xyz_{number}"], walls[f"wall_{number}"], ray)
+        east, north = (float(part) for part in walls[f"ray_{number}"])
+        made[f"normals_{number}"] = normals(given[f"xyz_{number}"], walls[f"wall_{number}"], (east, north))
         number += 1
     np.savez(f"{folder}/own.npz", **made)
 

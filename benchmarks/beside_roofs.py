@@ -91,7 +91,7 @@ def own(folder: str) -> None:
         counts.append(len(roof.planes))
         for index, plane in enumerate(roof.planes):
             on = chosen & (roof.numbers == index)
-            values = plane.at(x[where], y[where]), plane.east, plane.north
+            values = plane.at(x[where], y[where]), np.asarray(plane.east), np.asarray(plane.north)
             for band, value in zip(found, values):
                 band[where] = np.where(on, value, band[where])
     np.savez(f"{folder}/own.npz", found=found, counts=np.array(counts))

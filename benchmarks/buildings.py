@@ -20,6 +20,7 @@ from benchmarks.answers_solids import has_library, library
 from benchmarks.runner import ROOT, few, is_quick, say
 from benchmarks.scenes import SHARED, default
 from benchmarks.tables import Section, table
+from repm_qgis.contracts.stages import BUILDINGS
 from repm_qgis.evaluation.coregistration import Alignment
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.imagery.cell_polygons import burned
@@ -83,7 +84,7 @@ class _Recorded(Town):
 
 def _simulated(size: int) -> Case:
     made, scene = _town(size), default("urban", size, 4)
-    spec = scene.spec
+    spec = scene.made
     nodes = Ground.empty(surface_bounds(spec, make_views(spec)), spec.cell_m / spec.surface_step)
     town = _Recorded(nodes, spec.base_m, spec.seed, Silent())
     town.build()
@@ -128,7 +129,7 @@ def found_in(case: Case, folder: str, parameters: Any = ENGINE, **options: objec
     """Run the stage on a case's DSM."""
     start = time.monotonic()
     named = {"output": f"{folder}/b.gpkg", "cityjson": f"{folder}/b.city.json"}
-    run_stage("buildings", {"dsm": case.dsm, "confidence": case.confidence, **named, **options}, Silent(), parameters)
+    run_stage(BUILDINGS, {"dsm": case.dsm, "confidence": case.confidence, **named, **options}, Silent(), parameters)
     spent = time.monotonic() - start
     move = score_files(case.dsm, case.reference, "3d").alignment
     with opened(case.reference) as dataset:

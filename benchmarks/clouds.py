@@ -85,8 +85,8 @@ def cost(function: Any, *arguments: object) -> Tuple[float, int]:
 
 
 def megabytes(path: str) -> float:
-    files = [path] if os.path.isfile(path) else [p for p in Path(path).rglob("*") if p.is_file()]
-    return sum(os.path.getsize(file) for file in files) / 1e6
+    files = [Path(path), *Path(path).rglob("*")]
+    return sum(file.stat().st_size for file in files if file.is_file()) / 1e6
 
 
 def displays() -> List[str]:

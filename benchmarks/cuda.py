@@ -15,6 +15,7 @@ from benchmarks import towns
 from benchmarks.runner import Failed, few, is_quick, pipeline, say, stage
 from benchmarks.scenes import Scene, default, quick_size, real, simulated, whu_tlc, zy3
 from benchmarks.tables import Section, table
+from repm_qgis.contracts.stages import COMPAREDSM
 from repm_qgis.runtime.environment import cuda, gpus
 from repm_qgis.runtime.progress import Recorder, Silent
 from repm_qgis.scene import Scene as SceneFile
@@ -70,13 +71,12 @@ def row(name: str, scene: Scene, way: Way) -> List[object]:
         if failed:
             raise Failed(failed[0])
         align = "3d" if scene.align else "none"
-        options = {"reference": scene.reference, "align": align, "thresholds": (1.0,)}
-        score = stage("comparedsm", dsm=made["output"], **options)
-        records = [record for tile in SceneFile.load(made["scene"]).tiles for record in tile.heights]
+        score = stage(COMPAREDSM, dsm=made.output, reference=scene.reference, align=align, thresholds=(1.0,))
+        records = [record for tile in SceneFile.load(made.scene).tiles for record in tile.heights]
     mpx = max(record.size[0] * record.size[1] for record in records) / 1e6
     used = (memory.gib, memory.gib / mpx) if way[1]["backend"] == "colmap" else ("", "")
-    errors = (score["nmad"], score["bias"], score["rmse"], score["completeness"])
-    return [name, way[0], *errors, made["valid_percent"], made["seconds"]["reconstruct"], *used]
+    errors = (score.nmad, score.bias, score.rmse, score.completeness)
+    return [name, way[0], *errors, made.valid_percent, made.seconds["reconstruct"], *used]
 
 
 def scenes() -> List[Tuple[Scene, Sequence[Way]]]:

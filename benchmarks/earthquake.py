@@ -19,6 +19,8 @@ from benchmarks import two_dates
 from benchmarks.runner import is_quick, pipeline, say, stage
 from benchmarks.scenes import CACHE, SHARED, made_once
 from benchmarks.tables import Section, table
+from repm_qgis.contracts.results import ChangeResult
+from repm_qgis.contracts.stages import CHANGE, DSMFUSE, REGISTER
 from repm_qgis.imagery.raster import opened
 from repm_qgis.numerics.robust import nmad
 
@@ -60,17 +62,21 @@ class Town:
 def town() -> Town:
     """The real one where its images are there; else a simulated one."""
     if _IMAGES.exists():
-        images = ([_IMAGES / f"{date}_event_img{number}.tif" for number in (1, 2)] for date in ("pre", "post"))
-        kinds = ("buildings that are gone", _GONE, -1), ("rows of trees that are gone", _TREES, -1)
-        return Town("earthquake", *images, _CRS, (*kinds, ("new or higher buildings", _BUILT, 1)))
+        before, after = ([_IMAGES / f"{date}_event_img{number}.tif" for number in (1, 2)] for date in ("pre", "post"))
+        kinds: Kinds = (
+            ("buildings that are gone", _GONE, -1),
+            ("rows of trees that are gone", _TREES, -1),
+            ("new or higher buildings", _BUILT, 1),
+        )
+        return Town("earthquake", before, after, _CRS, kinds)
     folder = two_dates.images_of(900, 3)
-    images = ([folder / f"date_{date}_{number}.tif" for number in (1, 3)] for date in (0, 1))
+    before, after = ([folder / f"date_{date}_{number}.tif" for number in (1, 3)] for date in (0, 1))
     places: Dict[int, List[Tuple[int, int]]] = {-1: [], 1: []}
     for change in two_dates.Dates(folder).changes:
-        middle = ogr.CreateGeometryFromWkt(change["outline"]).Centroid()
-        places[-1 if change["kind"] == "removed" else 1].append((round(middle.GetX()), round(middle.GetY())))
+        middle = ogr.CreateGeometryFromWkt(change.outline).Centroid()
+        places[-1 if change.kind == "removed" else 1].append((round(middle.GetX()), round(middle.GetY())))
     kinds = ("buildings that are gone", places[-1], -1), ("new or higher buildings", places[1], 1)
-    return Town("simulated", *images, None, kinds)
+    return Town("simulated", before, after, None, kinds)
 
 
 @dataclass(frozen=True)
@@ -82,8 +88,9 @@ class Dates:
     change: Path
 
 
-def dates(place: Town) -> Dates:
-    """All of it in the cache."""
+def dates(place: Optional[Town] = None) -> Dates:
+    """All of it in the cache; of the town where none is given."""
+    place = place or town()
     size = "_quick" * is_quick()
     folders = Dates(*(CACHE / f"{place.name}_{name}{size}" for name in ("before", "after", "change")))
     made_once(folders.before, lambda: _dsm(place.before, place.crs, folders.before))
@@ -101,14 +108,12 @@ def _registered(place: Town, folders: Dates) -> None:
     folder = folders.after
     _dsm(place.after, place.crs, folder)
     scene = f"{folder}/w/registered.json"
-    stage(
-        "register", scene=f"{folder}/w/reconstructed.json", reference=[f"{folders.before}/dsm.tif"], output_scene=scene
-    )
+    stage(REGISTER, scene=f"{folder}/w/reconstructed.json", reference=[f"{folders.before}/dsm.tif"], output_scene=scene)
     made = {name: f"{folder}/registered_{name}.tif" for name in ("confidence", "ortho")}
-    stage("dsmfuse", scene=scene, output=f"{folder}/registered_dsm.tif", resolution=0.5, **made)
+    stage(DSMFUSE, scene=scene, output=f"{folder}/registered_dsm.tif", resolution=0.5, **made)
 
 
-def _change(folders: Dates, folder: Path, method: str, after: str = "registered_") -> Dict[str, object]:
+def _change(folders: Dates, folder: Path, method: str, after: str = "registered_") -> ChangeResult:
     given = {
         "before": f"{folders.before}/dsm.tif",
         "after": f"{folders.after}/{after}dsm.tif",
@@ -116,7 +121,7 @@ def _change(folders: Dates, folder: Path, method: str, after: str = "registered_
         "after_confidence": f"{folders.after}/{after}confidence.tif",
     }
     made = {name: f"{folder}/{name}_{method}.tif" for name in ("output", "significant")}
-    return stage("change", align=method, volumes=f"{folder}/volumes_{method}.gpkg", **given, **made)
+    return stage(CHANGE, align=method, volumes=f"{folder}/volumes_{method}.gpkg", **given, **made)
 
 
 # Where the dates lie on each other --------------------------------------------------------------------------------
@@ -180,7 +185,7 @@ def _position(folders: Dates) -> List[str]:
     for name, after, result in (("as it was matched", "", free), ("registered", "registered_", again)):
         east, north, error, count = _shift_of_orthophotos(folders, after)
         shown = f"{east:+.2f}, {north:+.2f} ({error:.2f}; {count} windows)"
-        rows.append([name, shown, ", ".join(f"{result[axis]:+.2f}" for axis in ("dx", "dy", "dz"))])
+        rows.append([name, shown, ", ".join(f"{axis:+.2f}" for axis in (result.dx, result.dy, result.dz))])
     return [
         "How far the later date must be moved to lie on the earlier one, m: what the orthophotos of both dates say on "
         "open ground (east, north; its standard deviation), and what `repm:change` finds with ALIGN=3d (east, north, "

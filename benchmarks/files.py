@@ -109,7 +109,7 @@ def measured(
         place.mkdir(parents=True)
         images.append(form.write(image, place))
     off = max(map(rpc_error_px, images, scene.images))
-    dsm = pipeline(images, folder, resolution=scene.resolution, **options)["output"]
+    dsm = pipeline(images, folder, resolution=scene.resolution, **options).output
     found = scores(dsm, scene.reference, scene.align)
     same = nmad(difference(dsm, reference)) if reference else 0.0
     return [found.valid, same, off, found.rmse]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import resource
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Dict, List, Sequence
+from typing import Dict, List, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from benchmarks.pointing_case import fitted
 from benchmarks.runner import alone, is_quick, pipeline
@@ -42,8 +42,7 @@ def _block_folder() -> Path:
     quick = replace(SIMULATION, render=replace(SIMULATION.render, oversample=1))
 
     def make() -> None:
-        made = make_frames(_block_spec(), _frames(), str(folder), Silent(), quick)
-        (folder / "made.json").write_text(json.dumps({**made, "biases": made["biases"].tolist()}))
+        make_frames(_block_spec(), _frames(), str(folder), Silent(), quick)
 
     return made_once(folder, make)
 
@@ -69,7 +68,7 @@ def adjusted(images: Sequence[str], workspace: str) -> Dict[str, object]:
     }
 
 
-def _left_px(images: Sequence[str], pointing: Dict[str, object], true: Sequence[PushbroomView]) -> float:
+def _left_px(images: Sequence[str], pointing: Mapping[str, ArrayLike], true: Sequence[PushbroomView]) -> float:
     """What the corrections leave of the frames' errors, px (RMS), apart from a move of the whole block."""
     from repm_qgis.scene import load_views
 
@@ -136,7 +135,7 @@ def mixed() -> List[str]:
         work = folder / "w" / names[0] / names[1]
         work.mkdir(parents=True, exist_ok=True)
         made = pipeline([str(folder / f"{name}.tif") for name in names], work, workers=1)
-        found = scores(made["output"], str(folder / "truth.tif"), True)
+        found = scores(made.output, str(folder / "truth.tif"), True)
         rows.append([label, found.rmse, found.nmad, found.medae, *(f"{share:.1f}" for share in shares(found))])
     return [
         "**Two sensors**: a simulated town seen by images of 0.5 m and of 1.5 m, 10 degrees ahead and behind; DSMs of "

@@ -403,7 +403,7 @@ def _bounds(images: Sequence[str], folder: Path) -> Tuple[Bounds, str]:
     ended = run_in(ROOT, "epmfit", {"images": list(images), "workspace": str(folder / "w")}, folder)
     if ended.error:
         raise RepmError(ended.error)
-    scene = Scene.load(ended.result["scene"])
+    scene = Scene.load(str(ended.result["scene"]))
     return enclosing([tile.bounds for tile in scene.tiles]), scene.crs
 
 

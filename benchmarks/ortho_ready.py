@@ -66,7 +66,8 @@ class _Trial:
     """A pair's own DSM, and how far that of images is which were made of it."""
 
     def __init__(self, images: Sequence[str], folder: str) -> None:
-        self.views, self.folder, self.rows = load_views(images), folder, []
+        self.views, self.folder = load_views(images), folder
+        self.rows: List[List[object]] = []
         self.base = _dsm(images, Path(folder, "sensor"))
 
     def add(self, label: str, make: Callable[[View, str], None], **options: object) -> None:

@@ -13,8 +13,10 @@ from dataclasses import dataclass
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence, Tuple, TypeVar
+from typing import IO, Any, Callable, Dict, Iterable, List, Optional, Sequence, Tuple, TypeVar, Union
 
+from repm_qgis.contracts.results import PipelineResult
+from repm_qgis.contracts.stages import PIPELINE, R, Stage
 from repm_qgis.runtime.parallel import cores
 from repm_qgis.runtime.process_limits import bound_cache
 from repm_qgis.runtime.progress import Progress, Silent
@@ -62,23 +64,31 @@ def earlier(revision: str, folder: Path) -> Optional[Path]:
 # In this process --------------------------------------------------------------------------------------------------
 
 
+def there(value: Optional[Item], what: str = "what was asked for") -> Item:
+    """A value that must be there; raises Failed where it is None."""
+    if value is None:
+        raise Failed(f"{what} is not there")
+    return value
+
+
 def stage(
-    name: str, progress: Progress = Silent(), parameters: Optional[EngineParameters] = None, **options: object
-) -> Dict[str, object]:
-    """A stage's results; ``parameters`` are for the stages that take them."""
-    return run_stage(name, options, progress, parameters)
+    of: Stage[R], progress: Progress = Silent(), parameters: Optional[EngineParameters] = None, /, **options: object
+) -> R:
+    """A stage's result; ``parameters`` are for the stages that take them."""
+    return run_stage(of, options, progress, parameters)
 
 
 def pipeline(
     images: Sequence[str],
-    folder: Any,
+    folder: Union[str, Path],
     progress: Progress = Silent(),
     parameters: EngineParameters = ENGINE,
+    /,
     **options: object,
-) -> Dict[str, object]:
-    """The pipeline's results; the workspace is ``w`` and the DSM ``dsm.tif`` in a folder."""
+) -> PipelineResult:
+    """The pipeline's result; the workspace is ``w`` and the DSM ``dsm.tif`` in a folder."""
     made = {"images": list(images), "workspace": f"{folder}/w", "output": f"{folder}/dsm.tif", **options}
-    return run_stage("pipeline", made, progress, parameters)
+    return run_stage(PIPELINE, made, progress, parameters)
 
 
 # In a process of its own ------------------------------------------------------------------------------------------
@@ -145,14 +155,17 @@ def measured(
     """
     before, start = os.times(), time.monotonic()
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    process = subprocess.Popen(command, **pipes, text=True, cwd=folder, env=environment, start_new_session=True)
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(
+        command, stdout=pipe, stderr=pipe, text=True, cwd=folder, env=environment, start_new_session=True
+    )
     printed: List[str] = ["", ""]
 
-    def listen(number: int, stream: object) -> None:
+    def listen(number: int, stream: IO[str]) -> None:
         printed[number] = stream.read()
 
-    readers = [threading.Thread(target=listen, args=(i, s)) for i, s in enumerate((process.stdout, process.stderr))]
+    streams = there(process.stdout), there(process.stderr)
+    readers = [threading.Thread(target=listen, args=(number, stream)) for number, stream in enumerate(streams)]
     for reader in readers:
         reader.start()
     peak = 0.0

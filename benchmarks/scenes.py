@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Callable, List, Optional, Sequence
 
-from benchmarks.runner import ROOT, is_quick, say
+from benchmarks.runner import ROOT, is_quick, say, there
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.parameters import SIMULATION, SimulationParameters
 from repm_qgis.simulation.scene import SceneSpec, make_scene
@@ -33,6 +33,11 @@ class Scene:
     resolution: float
     align: bool  # compare after the best whole-cell shift, which pointing without ground control leaves
     spec: Optional[SceneSpec] = None  # of a simulated scene
+
+    @property
+    def made(self) -> SceneSpec:
+        """What it was simulated from; raises Failed where it is real."""
+        return there(self.spec, f"the simulation of {self.name}")
 
     @property
     def folder(self) -> Path:
@@ -96,7 +101,7 @@ def real(*names: str) -> List[Scene]:
     for name in names or _REAL:
         count, reference, align = _REAL[name]
         images = [str(SHARED / name / f"img_{i:02d}.tif") for i in range(1, count + 1)]
-        if all(os.path.exists(path) for path in (*images, SHARED / name / reference)):
+        if all(os.path.exists(path) for path in (*map(Path, images), SHARED / name / reference)):
             found.append(Scene(name, images, str(SHARED / name / reference), 0.5, align))
     return found
 
@@ -113,7 +118,7 @@ def whu_tlc() -> List[Scene]:
     for block in ("0066", "0067", "0072", "0073"):
         images = [str(folder / f"block{block}_view{number}.tif") for number in range(3)]
         reference = str(folder / f"truth_{block}.tif")
-        if all(map(os.path.exists, (*images, reference))):
+        if all(os.path.exists(path) for path in (*images, reference)):
             found.append(Scene(f"whu_tlc {block}", images, reference, 5.0, True))
     return found
 

@@ -110,6 +110,16 @@ class RecordedTown(Town):
 
 
 @dataclass(frozen=True)
+class Change:
+    """A building that changed: what became of it, its outline as WKT, its area (m2) and volume (m3)."""
+
+    kind: str
+    outline: str
+    area: float
+    volume: float
+
+
+@dataclass(frozen=True)
 class Dates:
     """Paths of what was made: DSMs and confidences by the names of ``DSMS``, true surfaces, and the true changes."""
 
@@ -125,9 +135,8 @@ class Dates:
         return str(self.folder / f"truth_{date}.tif")
 
     @property
-    def changes(self) -> List[Dict[str, object]]:
-        """The buildings: kind, outline as WKT, area (m2) and volume (m3)."""
-        return list(json.loads((self.folder / "changes.json").read_text(encoding="utf-8")))
+    def changes(self) -> List[Change]:
+        return [Change(**each) for each in json.loads((self.folder / "changes.json").read_text(encoding="utf-8"))]
 
 
 def spec_of(size: int, seed: int, date: int) -> SceneSpec:
@@ -204,11 +213,10 @@ def _write_changes(
         outline = _outline(each, ground)
         m2 = float(each.inside.sum() * ground.cell**2)
         volume = float(difference.sum(dtype=float) * ground.cell**2)
-        found.append({"kind": kind, "outline": outline, "area": m2, "volume": volume})
-    (folder / "changes.json").write_text(json.dumps(found), encoding="utf-8")
-    rows = [(ogr.CreateGeometryFromWkt(each["outline"]), list(each.values())[::2]) for each in found]
+        found.append(Change(kind, outline, m2, volume))
+    (folder / "changes.json").write_text(json.dumps([vars(each) for each in found]), encoding="utf-8")
     fields = {"kind": str, "area": float, "volume": float}
-    features = [(shape, [each["kind"], each["area"], each["volume"]]) for (shape, _), each in zip(rows, found)]
+    features = [(ogr.CreateGeometryFromWkt(each.outline), [each.kind, each.area, each.volume]) for each in found]
     write_layer(str(folder / "changes.gpkg"), crs, ogr.wkbPolygon, fields, features)
 
 

@@ -164,8 +164,8 @@ def _reflected(seen: SimulatedSurface, sun: Sun, lakes: np.ndarray, name: str) -
         waves = (seen.radiance - grey) / seen.light.sun_dn
         found = np.where(lakes == number, np.maximum(own + waves, 0.002), found)
     for kind, number in DARK.items():
-        grey = (seen.radiance - seen.light.haze_dn) / seen.light.sun_dn / _light_on(kind, sun, seen.light, 1.0)
-        lit = band.bare * grey * _light_on(kind, sun, seen.light, band.sky)
+        seen_grey = (seen.radiance - seen.light.haze_dn) / seen.light.sun_dn / _light_on(kind, sun, seen.light, 1.0)
+        lit = band.bare * seen_grey * _light_on(kind, sun, seen.light, band.sky)
         found = np.where(lakes == number, lit, found)
     return found
 
