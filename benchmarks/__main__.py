@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Dict, List, Sequence
@@ -42,19 +43,28 @@ def figures(text: str) -> int:
     return sum(any(map(str.isdigit, row)) for row in rows)
 
 
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    """End a process that still runs, with all of its session: by Ctrl-C, after which it removes its folders, or so."""
+    for seconds, ending in ((10.0, signal.SIGINT), (None, signal.SIGKILL)):
+        if process.poll() is None:
+            os.killpg(process.pid, ending)
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(seconds)
+
+
 def quickly(name: str, limit: float, environment: Dict[str, str]) -> List[object]:
     """Run a benchmark with --quick; its row: name, seconds, CPU seconds of all its processes, and how it ended."""
     start, before, outcome = time.monotonic(), os.times(), ""
     command = [sys.executable, str(FOLDER), name, "--quick"]
     with tempfile.TemporaryFile("w+") as printed, tempfile.TemporaryFile("w+") as said:
         process = subprocess.Popen(command, stdout=printed, stderr=said, env=environment, start_new_session=True)
-        for seconds, ending in ((limit, signal.SIGINT), (10.0, signal.SIGKILL)):
-            try:
-                process.wait(seconds)
-            except subprocess.TimeoutExpired:
-                outcome = f"stopped after {limit:g} s"
-                os.killpg(process.pid, ending)
-        if process.wait() and not outcome:
+        try:
+            process.wait(limit)
+        except subprocess.TimeoutExpired:
+            outcome = f"stopped after {limit:g} s"
+        finally:  # also where this process is interrupted
+            _end(process)
+        if process.returncode and not outcome:
             outcome = f"ended with code {process.returncode}"
         for file in (printed, said):
             file.seek(0)
