@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from benchmarks.pointing_case import fitted
-from benchmarks.runner import alone, is_quick, pipeline
+from benchmarks.runner import alone, few, is_quick, pipeline
 from benchmarks.scenes import CACHE, made_once, simulation
 from benchmarks.scoring import scores, shares
 from benchmarks.simulated.frames import Exposure, exposed, frames_of, make_frames
@@ -33,7 +33,7 @@ def _block_spec() -> SceneSpec:
 
 
 def _frames() -> List[Exposure]:
-    return frames_of(_PASSES, (1300, 600), (2, 2 if is_quick() else 7))
+    return frames_of(_PASSES, (1300, 600), (1, 2) if is_quick() else (2, 7))
 
 
 def _block_folder() -> Path:
@@ -127,10 +127,12 @@ def _mixed_images() -> Path:
 
 def mixed() -> List[str]:
     folder, rows = _mixed_images(), []
-    for label, names in (
-        ("both coarse", ("coarse_ahead", "coarse_behind")),
-        ("fine and coarse", ("fine_ahead", "coarse_behind")),
-        ("coarse and fine", ("coarse_ahead", "fine_behind")),
+    for label, names in few(
+        (
+            ("both coarse", ("coarse_ahead", "coarse_behind")),
+            ("fine and coarse", ("fine_ahead", "coarse_behind")),
+            ("coarse and fine", ("coarse_ahead", "fine_behind")),
+        )
     ):
         work = folder / "w" / names[0] / names[1]
         work.mkdir(parents=True, exist_ok=True)
