@@ -121,7 +121,7 @@ def models() -> List[str]:
     images = [scene.images[0], scene.images[2]]
     job = {"resolution": 5.0, "tile_size": TILE, "workers": 1, **area}
     rows: List[List[object]] = []
-    for corrected in (False, True):
+    for corrected in few((False, True)):
         for model in few(MODELS):
             label = "corrected" if corrected else "left"
             say(f"one tile, {model}, vertical parallax {label} ...")
@@ -151,7 +151,7 @@ def parallax() -> List[str]:
             images = [scene.images[0], scene.images[2]]
             area = middle_of(scene.reference, quick_size(side, "ZY3"))
             fitted = stage(EPMFIT, images=images, workspace=work, tile_size=side, **area).scene
-            for model in MODELS:
+            for model in few(MODELS):
                 options: Dict[str, object] = {"model": model, "write_images": False}
                 if model == "terrain":
                     options["dem"] = scene.reference

@@ -210,8 +210,8 @@ def choices() -> List[str]:
     texts: List[str] = []
     for case in few(cases + [Case(scene) for scene in real("truth_urban", "pleiades_pair") if not is_quick()]):
         rows = []
-        for label, parameters in VARIANTS.items():
-            found = case.score(parameters, BACKENDS.get(label, sgm.BACKEND))
+        for label in [*few(VARIANTS), *BACKENDS] if is_quick() else VARIANTS:
+            found = case.score(VARIANTS[label], BACKENDS.get(label, sgm.BACKEND))
             rows.append([label, *(round(value, 3) for value in found)])
         (low, high), (width, height) = case.geometry.disparities, case.frame.size
         of = "" if case.align else " (reference: S2P's DSM)"
