@@ -10,6 +10,7 @@ from __future__ import annotations
 import tempfile
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Callable, Dict, FrozenSet, List, Mapping, Sequence, Tuple
 
@@ -20,7 +21,9 @@ from benchmarks.runner import ROOT, earlier, few, pipeline, say, stage
 from benchmarks.scenes import SHARED, Scene, absent, default, real, simulated, whu_tlc, zy3_fine
 from benchmarks.tables import Details, Section, table
 from benchmarks.views import where_both
+from repm_qgis.contracts.stages import DSMFUSE
 from repm_qgis.evaluation.scoring import score_files
+from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import Scene as SceneFile
 from repm_qgis.stages.parameters import ENGINE, EngineParameters
 
@@ -93,16 +96,20 @@ def _district(label: str) -> Scene:
     return Scene(f"district, {label}", images, str(folder / "truth.tif"), 0.5, True)
 
 
+def _itself(scene: Scene) -> Scene:
+    return scene
+
+
 def cases() -> List[Tuple[str, Callable[[], Scene]]]:
     """All scenes by their kind; simulated ones are made when they are called for."""
-    found = [("real town", lambda part=part: _west(*part)) for part in west().items()]
+    found: List[Tuple[str, Callable[[], Scene]]] = [("real town", partial(_west, *part)) for part in west().items()]
     found += [("simulated towns", lambda: default("urban", 800, 4))]
-    found += [("simulated towns", lambda label=label: _district(label)) for label in ("2", "3, January", "6")]
+    found += [("simulated towns", partial(_district, label)) for label in ("2", "3, January", "6")]
     found += [("mountains", lambda: default("mountains", 400, 7, 1.0))]
     found += [("mountains", lambda: default("mountains", 800, 3, 1.0))]
     found += [("mountains", lambda: simulated("zy3_fine", zy3_fine(1000), 2.5))]
-    found += [("Pléiades", lambda scene=scene: scene) for scene in real("pleiades_pair", "pleiades_triplet")]
-    return found + [("WHU-TLC", lambda scene=scene: scene) for scene in whu_tlc()]
+    found += [("Pléiades", partial(_itself, scene)) for scene in real("pleiades_pair", "pleiades_triplet")]
+    return found + [("WHU-TLC", partial(_itself, scene)) for scene in whu_tlc()]
 
 
 def _missing() -> List[str]:
@@ -125,7 +132,7 @@ def _fused(scene: Scene, made: str, off: FrozenSet[str], folder: str) -> List[fl
     """C1 (%), MAE and RMSE (m) of a reconstructed scene's DSM without some steps, and the CPU seconds of fusing."""
     start = time.process_time()
     own = {"scene": made, "output": f"{folder}/dsm.tif", "resolution": scene.resolution, "workers": 1}
-    dsm = stage("dsmfuse", parameters=without(off), **own)["output"]
+    dsm = stage(DSMFUSE, Silent(), without(off), **own).output
     cost = time.process_time() - start
     m = score_files(dsm, scene.reference, "3d").metrics
     return [dict(m.completeness)[1.0], m.mae, m.rmse, cost]
@@ -137,7 +144,7 @@ def _measured(scene: Scene) -> np.ndarray:
     for contrast in few(towns._CONTRASTS[:DRAWS]):
         say(f"{scene.name}, contrast {contrast} ...")
         with tempfile.TemporaryDirectory() as folder:
-            made = pipeline(scene.images, folder, parameters=_drawn(contrast), resolution=scene.resolution)["scene"]
+            made = pipeline(scene.images, folder, Silent(), _drawn(contrast), resolution=scene.resolution).scene
             found.append([_fused(scene, made, off, folder) for off in variants().values()])
     return np.array(found)
 
@@ -223,7 +230,7 @@ def _error(made: SceneFile, pairs: Sequence[Tuple[str, str]], scene: Scene, fold
     """The errors (m) of the DSM of some pairs of a reconstructed scene."""
     part = made.with_tiles(lambda tile: replace(tile, heights=tuple(r for r in tile.heights if r.pair in pairs)))
     path = part.save(f"{folder}/chosen.json")
-    dsm = stage("dsmfuse", scene=path, output=f"{folder}/part.tif", resolution=scene.resolution)["output"]
+    dsm = stage(DSMFUSE, scene=path, output=f"{folder}/part.tif", resolution=scene.resolution).output
     return score_files(dsm, scene.reference, "3d").error
 
 
@@ -245,7 +252,7 @@ def more() -> List[str]:
         say(f"more, {label} ...")
         scene = _west(label, names)
         with tempfile.TemporaryDirectory() as folder:
-            made = SceneFile.load(pipeline(scene.images, folder, resolution=scene.resolution)["scene"])
+            made = SceneFile.load(pipeline(scene.images, folder, resolution=scene.resolution).scene)
             pairs = sorted({record.pair for tile in made.tiles for record in tile.heights})
             whole = _error(made, pairs, scene, folder)
             found = [_both(whole, _error(made, [pair], scene, folder)) for pair in pairs]

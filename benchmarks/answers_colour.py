@@ -14,11 +14,12 @@ from osgeo import gdal
 from scipy import ndimage
 
 from benchmarks.colour_scene import WEIGHTS, make_colour_scene
-from benchmarks.runner import ROOT, is_quick, measured, pipeline, stage
+from benchmarks.runner import ROOT, is_quick, measured, pipeline, stage, there
 from benchmarks.scenes import CACHE, SHARED, made_once, quick_size
 from benchmarks.tables import table
 from repm_qgis.contracts.arrays import Window
 from repm_qgis.contracts.options import DsmFuseOptions
+from repm_qgis.contracts.stages import DSMFUSE
 from repm_qgis.fusion.finished import FinishedSurface
 from repm_qgis.geometry.vertical import HeightDatum
 from repm_qgis.imagery.raster import opened, read
@@ -59,7 +60,8 @@ def _sharpening() -> List[str]:
         for name, pansharpen in (("pansharpened", True), ("resampled", False)):
             paths = {"output": f"{work}/{name}_dsm.tif", "ortho": f"{work}/{name}.tif"}
             more = {"colour": "all", "pansharpen": pansharpen, "resolution": 0.5, "ortho_resolution": 0.5}
-            made[name] = stage("dsmfuse", scene=f"{work}/w/reconstructed.json", **paths, **more)["ortho"]
+            fused = stage(DSMFUSE, scene=f"{work}/w/reconstructed.json", **paths, **more)
+            made[name] = there(fused.ortho)
         rows = _against_truth(made, truth)
     headers = "band | mean, pansharpened : resampled | median error, pansharpened, % | resampled, % | correlation "
     headers += "with the truth, pansharpened | resampled"
@@ -81,7 +83,7 @@ def _against_truth(made: Dict[str, str], truth: str) -> List[List[object]]:
     options = {"outputBounds": ends, "xRes": cell, "yRes": cell, "dstSRS": where, "resampleAlg": "average"}
     true = gdal.Warp("", truth, format="MEM", **options).ReadAsArray()
     # The scene has no control points: its place is that of the RPCs.
-    shift = shift_of(orthos["pansharpened"][1], true[1], known)
+    shift = there(shift_of(orthos["pansharpened"][1], true[1], known))
     moved = np.stack([ndimage.shift(band, (shift[1], shift[0]), order=1, mode="nearest") for band in true])
     rows = []
     for band, name in enumerate(WEIGHTS):
@@ -109,7 +111,7 @@ def _town() -> List[str]:
             job = Path(work, "job.json")
             job.write_text(json.dumps({**paths, **cells, "colour": colour, "workers": 1}), encoding="utf-8")
             costs.append(measured([sys.executable, "-m", "repm_qgis", "dsmfuse", str(job)], str(ROOT))[1])
-        cells = int(np.isfinite(_bands(made["auto"])[0]).sum()) / 1e6
+        million = int(np.isfinite(_bands(made["auto"])[0]).sum()) / 1e6
         rows = [_registration(name, made[name], f"{work}/auto_dsm.tif") for name in made]
         apart = _views_apart(scene, f"{work}/auto_dsm.tif")
     more = costs[1].cpu_s - costs[0].cpu_s
@@ -122,8 +124,8 @@ def _town() -> List[str]:
         f"**Between views**: the orthophotos of single views on this DSM are {float(np.median(apart)):.2f} cells apart "
         f"(median over {len(apart)} blocks of pairs of the most vertical views; {shares}).",
         f"**Cost** of the fusion: {costs[0].cpu_s:.1f} s of CPU and {costs[0].peak_gib:.2f} GiB with greys, "
-        f"{costs[1].cpu_s:.1f} s and {costs[1].peak_gib:.2f} GiB in colour: {more / cells:.0f} s more for each million "
-        f"cells with {len(images)} views.",
+        f"{costs[1].cpu_s:.1f} s and {costs[1].peak_gib:.2f} GiB in colour: {more / million:.0f} s more for each "
+        f"million cells with {len(images)} views.",
     ]
 
 
@@ -157,7 +159,7 @@ def _registration(name: str, ortho: str, dsm: str) -> List[object]:
 def _views_apart(scene_path: str, dsm: str) -> np.ndarray:
     """(N,) cells between the orthophotos of two views, in each block of each pair of the most vertical ones."""
     scene = Scene.load(scene_path)
-    plan = colour_plan(scene, DsmFuseOptions(scene=scene_path, output=dsm), Silent(), ORTHO.sharpening)
+    plan = there(colour_plan(scene, DsmFuseOptions(scene=scene_path, output=dsm), Silent(), ORTHO.sharpening))
     surface = FinishedSurface.of(dsm, scene.crs, HeightDatum.of(""))
     seen = SeenSurface.of(surface, [source.view for source in plan.sources])
     task = ColourTask(plan, seen, 1, ORTHO, Window(0, 0, 0, 0))
@@ -171,7 +173,7 @@ def _views_apart(scene_path: str, dsm: str) -> np.ndarray:
         for rows, columns in _blocks(known.shape):
             if known[rows, columns].mean() > 0.5:
                 shift = shift_of(edges[0][rows, columns], edges[1][rows, columns], known[rows, columns], _CLEAR)
-                found += [] if shift is None else [float(np.hypot(*shift))]
+                found += [] if shift is None else [float(np.hypot(shift[0], shift[1]))]
     return np.array(found)
 
 

@@ -7,7 +7,7 @@ import tempfile
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Optional, Tuple
+from typing import Any, Callable, Dict, List, Optional, Protocol, Tuple
 
 import numpy as np
 from scipy import ndimage
@@ -16,6 +16,7 @@ from benchmarks import registration, towns
 from benchmarks.runner import ROOT, Failed, few, measured, pipeline
 from benchmarks.scenes import CACHE, SHARED, default, made_once, simulated
 from benchmarks.tables import table
+from repm_qgis.contracts.stages import DTM
 from repm_qgis.evaluation.coregistration import Alignment
 from repm_qgis.evaluation.grids import Grid, HeightWarper
 from repm_qgis.evaluation.scoring import score_files
@@ -35,6 +36,19 @@ _INNER_CELLS = 2  # within the class of the lidar: its rim has heights of the ro
 _OWN_CELLS = 11  # of 0.5 m, the side of the windows in which the lidar's own ground is looked for
 _OWN_M = 1.0  # what the lidar calls ground and is farther from its own ground is a car, a wall or the rim of a roof
 _TALL_M, _CORE_CELLS = 2.0, 10  # of simulated buildings: no tree holds a diamond of 5 m on each side
+
+
+class OnCells(Protocol):
+    """A DSM with its confidence, and a raster on whose cells the truth is."""
+
+    @property
+    def dsm(self) -> str: ...
+
+    @property
+    def confidence(self) -> str: ...
+
+    @property
+    def reference(self) -> str: ...
 
 
 @dataclass(frozen=True)
@@ -64,7 +78,7 @@ def _dsm(name: str, images: Any, resolution: float) -> Path:
 
 def _bare(scene: Any) -> Tuple[np.ndarray, np.ndarray]:
     """The true surface of a simulated town, and its ground without what stands on it, on the truth's cells."""
-    spec = scene.spec
+    spec = scene.made
     nodes = Ground.empty(surface_bounds(spec, make_views(spec)), spec.cell_m / spec.surface_step)
     Town(nodes, spec.base_m, spec.seed, Silent())._open_ground()
     with opened(scene.reference) as dataset:
@@ -129,16 +143,18 @@ def _lidar_itself() -> Case:
 def _lidar(count: int) -> Case:
     images = [str(SHARED / "jax_068" / f"JAX_068_{name}_RGB.tif") for name in towns._names()[:count]]
     made = _dsm(f"jax_068_{count}", images, 0.5)
-    files = {"dsm": str(made / "dsm.tif"), "confidence": str(made / "confidence.tif")}
-    return replace(_lidar_itself(), name=f"`jax_068`, {count} views", **files)
+    dsm, confidence = str(made / "dsm.tif"), str(made / "confidence.tif")
+    return replace(_lidar_itself(), name=f"`jax_068`, {count} views", dsm=dsm, confidence=confidence)
 
 
-def _cases(folder: str) -> List[Case]:
-    found = [_town(), _town_on_hills(folder), _hills()]
-    return found + ([_lidar(2), _lidar(19), _lidar_itself()] if (SHARED / "jax_068").exists() else [])
+def _cases(folder: str) -> List[Callable[[], Case]]:
+    """The cases, which are made when they are called for."""
+    found: List[Callable[[], Case]] = [_town, lambda: _town_on_hills(folder), _hills]
+    real: List[Callable[[], Case]] = [lambda: _lidar(2), lambda: _lidar(19), _lidar_itself]
+    return found + (real if (SHARED / "jax_068").exists() else [])
 
 
-def _on_truth(path: str, case: Case, alignment: Alignment, added: Optional[np.ndarray] = None) -> np.ndarray:
+def _on_truth(path: str, case: OnCells, alignment: Alignment, added: Optional[np.ndarray] = None) -> np.ndarray:
     """A raster on the truth's cells, moved as the DSM has to be."""
     with opened(path) as dataset, opened(case.reference) as target:
         grid, cell = Grid.of(target), target.GetGeoTransform()[1]
@@ -153,9 +169,9 @@ def _on_truth(path: str, case: Case, alignment: Alignment, added: Optional[np.nd
         return alignment.applied(values, (cell, cell))
 
 
-def _ours(case: Case, folder: str, parameters: Any = ENGINE, **options: object) -> Tuple[str, str]:
+def _ours(case: OnCells, folder: str, parameters: Any = ENGINE, **options: object) -> Tuple[str, str]:
     out = {"output": f"{folder}/dtm.tif", "heights": f"{folder}/heights.tif"}
-    run_stage("dtm", {"dsm": case.dsm, "confidence": case.confidence or None, **out, **options}, Silent(), parameters)
+    run_stage(DTM, {"dsm": case.dsm, "confidence": case.confidence or None, **out, **options}, Silent(), parameters)
     return out["output"], out["heights"]
 
 
@@ -218,8 +234,11 @@ def terrain() -> List[str]:
         methods.update({"bulldozer-dtm": _theirs("bulldozer"), "cloth-simulation-filter": _theirs("cloth")})
     rows: List[List[object]] = []
     with tempfile.TemporaryDirectory() as folder:
-        for case in few(_cases(folder)):
-            alone = {_PERFECT: _medians} if case.dsm == case.reference else {}
+        for make in few(_cases(folder)):
+            case = make()
+            alone: Dict[str, Callable[..., Tuple[str, str]]] = (
+                {_PERFECT: _medians} if case.dsm == case.reference else {}
+            )
             for name, method in {**methods, **alone}.items():
                 start = time.monotonic()
                 try:
@@ -272,7 +291,8 @@ def heights() -> List[str]:
     """Each building's median height against the true one."""
     with tempfile.TemporaryDirectory() as folder:
         rows = []
-        for case in (_town(), _town_on_hills(folder)):
+        for make in few(_cases(folder)[:2]):
+            case = make()
             _, above = _ours(case, folder)
             flat = case if case.added is None else _town()
             alignment = replace(score_files(flat.dsm, case.reference, "3d").alignment, dz=0.0)

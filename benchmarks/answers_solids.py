@@ -15,16 +15,18 @@ import shutil
 import subprocess
 import tempfile
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Dict, List, Sequence, Tuple
+from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 
 from benchmarks import answers_dtm, answers_walls
 from benchmarks.clouds import make, megabytes
-from benchmarks.runner import ROOT, Alone, Failed, alone, few, say, stage
+from benchmarks.runner import ROOT, Alone, Failed, alone, few, is_quick, say, stage, there
 from benchmarks.scenes import SHARED
 from benchmarks.tables import table
+from repm_qgis.contracts.stages import COMPAREDSM, DSMFUSE
 from repm_qgis.imagery.raster import opened, read, write
 from repm_qgis.solids.mesh import write_mesh
 from repm_qgis.solids.parameters import SOLIDS
@@ -72,13 +74,14 @@ def _moved(dsm: str, shift: Sequence[float], path: str) -> None:
 
 def found_shift(dsm: str, reference: str, method: str) -> Tuple[List[float], float]:
     """What is to be added to a DSM, and the RMSE after that."""
-    result = stage("comparedsm", dsm=dsm, reference=reference, align=method)
-    return [result[name] for name in ("dx", "dy", "dz")], result["rmse"]
+    result = stage(COMPAREDSM, dsm=dsm, reference=reference, align=method)
+    return [result.dx, result.dy, result.dz], there(result.rmse)
 
 
 def _cases() -> List[answers_dtm.Case]:
     """The simulated town, and the real one where it is."""
-    return [answers_dtm._town(), *([answers_dtm._lidar(19)] if (SHARED / "jax_068").exists() else [])]
+    real = (SHARED / "jax_068").exists() and not is_quick()
+    return [answers_dtm._town(), *([answers_dtm._lidar(19)] if real else [])]
 
 
 def _shifts() -> List[str]:
@@ -92,14 +95,14 @@ def _shifts() -> List[str]:
                     say(f"solids: {case.name}, {name}, {method}")
                     base = alone(found_shift, case.dsm, reference, method)
                     errors = []
-                    for shift in _SHIFTS_M:
+                    for shift in few(_SHIFTS_M):
                         _moved(case.dsm, shift, moved)
                         place, _ = found_shift(moved, reference, method)
                         errors.append(np.abs(np.add(place, shift) - base.result[0]))
                     flat, up = np.max(errors, axis=0)[:2].max(), np.max(errors, axis=0)[2]
-                    place = ", ".join(f"{value:+.2f}" for value in base.result[0])
+                    found = ", ".join(f"{value:+.2f}" for value in base.result[0])
                     cost = [f"{base.cpu_s:.1f}", round(base.mib)]
-                    row = [f"{flat:.3f}", f"{up:.3f}", place, f"{base.result[1]:.2f}", *cost]
+                    row = [f"{flat:.3f}", f"{up:.3f}", found, f"{base.result[1]:.2f}", *cost]
                     rows.append([case.name, name, method, *row])
     headers = (
         "DSM | reference | ALIGN | largest error of a known shift, m | of its height, m | dx, dy, dz of the DSM, m | "
@@ -121,8 +124,8 @@ def write_mesh_of(dsm: str, path: str, vertices: int) -> List[int]:
 def fuse_cloud(scene: str, folder: str, cloud: str, normals: bool) -> int:
     """Fuse a scene with a cloud, "" for none; the number of points."""
     files = {"output": f"{folder}/dsm.tif", "cloud": cloud or None}
-    made = stage("dsmfuse", scene=scene, resolution=0.5, colour="greys", workers=1, cloud_normals=normals, **files)
-    return int(made["points"])
+    made = stage(DSMFUSE, scene=scene, resolution=0.5, colour="greys", workers=1, cloud_normals=normals, **files)
+    return int(made.points)
 
 
 def _clouds() -> List[str]:
@@ -168,7 +171,7 @@ def make_ept(cloud: str, folder: str) -> None:
 def _meshes() -> List[str]:
     rows: List[List[object]] = []
     with tempfile.TemporaryDirectory() as folder:
-        for side in few((1400, 4472)):
+        for side in (300,) if is_quick() else (1400, 4472):
             alone(make, folder, side)
             for kind in ("ply", "glb", "obj"):
                 say(f"solids: {kind} of {side} cells a side")
@@ -187,17 +190,22 @@ def _meshes() -> List[str]:
 # Readers of other programs ----------------------------------------------------------------------------------------
 
 
-def library(*arguments: str) -> Dict[str, object]:
+def has_library() -> bool:
+    """Whether REPM_SOLIDS_PYTHON names a Python."""
+    return Path(_PYTHON).is_file()
+
+
+def library(*arguments: str) -> Dict[str, Any]:
     script = str(ROOT / "benchmarks" / "solids_libraries.py")
     done = subprocess.run([_PYTHON, script, *arguments], capture_output=True, text=True, check=False)
     if done.returncode:
         raise Failed((done.stderr.strip().splitlines() or ["ended"])[-1][:100])
-    found: Dict[str, object] = json.loads(done.stdout.splitlines()[-1])
+    found: Dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return found
 
 
 def _open3d(path: str) -> str:
-    if not Path(_PYTHON).is_file():
+    if not has_library():
         return "not tried: REPM_SOLIDS_PYTHON names no Python"
     try:
         found = library("read", path)
@@ -242,10 +250,9 @@ def qgis_count(path: str, provider: str) -> int:
 
 
 def _qgis(path: str, provider: str) -> str:
-    try:
-        count = alone(qgis_count, path, provider).result
-    except Failed as error:
-        return f"not tried: {error}"
+    if find_spec("qgis") is None:
+        return "not tried: QGIS is absent"
+    count = alone(qgis_count, path, provider).result
     return str(count) if count >= 0 else "no: not a valid layer"
 
 
@@ -254,7 +261,7 @@ def _qgis(path: str, provider: str) -> str:
 
 def _surfaces() -> List[str]:
     """What open3d makes of the same mesh and cloud."""
-    if not Path(_PYTHON).is_file():
+    if not has_library():
         return ["Simplified meshes and surfaces of points were not measured: REPM_SOLIDS_PYTHON names no Python."]
     town = answers_walls.towns()[0]()
     simple: List[List[object]] = []
@@ -313,7 +320,7 @@ def write_thinned(dsm: str, path: str, step: int) -> List[int]:
     return [facts.vertices, facts.faces]
 
 
-def _mesh_row(name: str, vertices: int, made: Alone, found: Dict[str, object]) -> List[object]:
+def _mesh_row(name: str, vertices: int, made: Alone, found: Dict[str, Any]) -> List[object]:
     return [name, vertices, found["triangles"], *found["cells"], f"{made.cpu_s:.1f}", round(made.mib)]
 
 

@@ -12,9 +12,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks import answers_dtm
-from benchmarks.runner import few, say
+from benchmarks.runner import few, is_quick, say, stage, there
 from benchmarks.scenes import Scene, simulated
 from benchmarks.tables import table
+from repm_qgis.contracts.stages import DSMFUSE
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.imagery.raster import opened
 from repm_qgis.runtime.progress import Silent
@@ -23,7 +24,6 @@ from repm_qgis.simulation.scene import SceneSpec, make_views, surface_bounds
 from repm_qgis.simulation.sensor import PLEIADES, Look
 from repm_qgis.simulation.surface import Ground, interpolate
 from repm_qgis.simulation.town import Town
-from repm_qgis.stages import run_stage
 from repm_qgis.stages.parameters import ENGINE, EngineParameters
 
 _HALF_M = 150.0  # of the square in the middle of a scene in which points are compared
@@ -113,21 +113,22 @@ def _made(name: str, scene: Scene, spec: SceneSpec) -> Town3d:
 
 
 def towns() -> List[Callable[[], Town3d]]:
-    """The towns, which are made when they are called for."""
+    """The towns, which are made when they are called for; a quick run has that of other parts alone."""
     steep = SceneSpec.default("urban", 1600, 4)
     sides = replace(steep, size=1000, sensor=replace(PLEIADES, looks=_SIDES))
     names = "town, 4 views of 16 to 29 degrees, two from each side", "town, 3 views of 0 and 12 degrees"
-    return [
+    made = [
         lambda: _made(names[0], simulated("urban_sides_4", sides), sides),
         lambda: _made(names[1], simulated("urban_4", steep), steep),
     ]
+    return made[1:] if is_quick() else made
 
 
 def fused(town: Town3d, folder: str, parameters: EngineParameters = ENGINE, **more: object) -> Tuple[str, str]:
     """The DSM and the cloud of a town's scene, with ``more`` options."""
     made = {"output": f"{folder}/dsm.tif", "cloud": f"{folder}/cloud.laz", **more}
-    run_stage("dsmfuse", {"scene": town.scene, "resolution": 0.5, "colour": "greys", **made}, Silent(), parameters)
-    return made["output"], made["cloud"]
+    result = stage(DSMFUSE, Silent(), parameters, scene=town.scene, resolution=0.5, colour="greys", **made)
+    return result.output, there(result.cloud)
 
 
 def compared(town: Town3d, cloud: str) -> np.ndarray:
@@ -147,7 +148,7 @@ def _figures(town: Town3d, points: np.ndarray) -> List[object]:
 def walls() -> List[str]:
     """What the rule for points on walls keeps, and what it costs."""
     cloud = ENGINE.solids.cloud
-    rules: Dict[str, object] = {
+    rules = {
         "on the DSM alone": replace(cloud, wall_cells=0),
         "and on walls, of one cell around": replace(cloud, wall_cells=1),
         "**and on walls, of two cells around**": cloud,
@@ -159,7 +160,7 @@ def walls() -> List[str]:
     for number, make in enumerate(few(towns())):
         town = make()
         first = b""
-        for name, rule in list(rules.items())[: 3 if number else None]:
+        for name, rule in few(list(rules.items())[: 3 if number else None]):
             say(f"walls: {town.name}, {name}")
             changed = replace(ENGINE, solids=replace(ENGINE.solids, cloud=rule))
             with tempfile.TemporaryDirectory() as folder:
@@ -210,7 +211,7 @@ def outliers() -> List[str]:
     for make in few(towns()):
         town = make()
         with tempfile.TemporaryDirectory() as folder:
-            points = compared(town, fused(town, folder)[1])
+            points = compared(town, fused(town, folder)[1])[:: 10 if is_quick() else 1]
         up, away, facade = town.truth.score(points)
         wrong = np.minimum(up, away) > 1
         for name, (kind, number) in _KINDS.items():

@@ -6,30 +6,33 @@ import tempfile
 import time
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Callable, Dict, List
+from typing import Any, Callable, Dict, List, Optional
 
 import numpy as np
 
-from benchmarks.answers_solids import library
+from benchmarks.answers_solids import has_library, library
 from benchmarks.runner import alone
 
 Beside = List[object]
+ABSENT = "absent"  # in the place of what open3d finds, where there is no open3d
 HEADERS = "part | data | figure | ours | open3d | CPU s: ours | open3d | MiB: ours | open3d"
 
 
 @dataclass(frozen=True)
 class Both:
-    """What ours found, as it was read, and the arrays that open3d found; CPU seconds of the work and MiB of the
-    process, ours first."""
+    """What ours found, as it was read, and the arrays that open3d found, None where it is absent; CPU seconds of the
+    work and MiB of the process, ours first."""
 
     ours: Any
-    theirs: Dict[str, np.ndarray]
+    theirs: Optional[Dict[str, np.ndarray]]
     cpu_s: List[float]
     mib: List[float]
 
     def row(self, part: str, data: str, figure: str, ours: object, theirs: object) -> Beside:
         """A row of the table; the cost stands in the first row of a part alone."""
-        cost = [*(f"{value:.1f}" for value in self.cpu_s), *map(round, self.mib)] if data else [""] * 4
+        cpu_s, mib = [f"{value:.1f}" for value in self.cpu_s], list(map(round, self.mib))
+        missing = [ABSENT] if self.theirs is None else []
+        cost = [*cpu_s, *missing, *mib, *missing] if data else [""] * 4
         return [part, data, figure, ours, theirs, *cost]
 
 
@@ -55,6 +58,8 @@ def compared_with(
         prepare(folder)
         ours = alone(timed, own.__module__, own.__name__, folder)
         found = read(folder)
+        if not has_library():
+            return Both(found, None, [ours.result], [ours.mib])
         cost = library(part, f"{folder}/data.npz", f"{folder}/open3d.npz")
         theirs = dict(np.load(f"{folder}/open3d.npz"))
     return Both(found, theirs, [ours.result, cost["cpu_s"]], [ours.mib, cost["mib"]])

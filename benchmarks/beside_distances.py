@@ -6,8 +6,9 @@ from typing import Callable, Dict, List, Tuple
 
 import numpy as np
 
-from benchmarks.beside import Beside, compared_with
+from benchmarks.beside import ABSENT, Beside, compared_with
 from benchmarks.runner import few, say, stage
+from repm_qgis.contracts.stages import COMPAREDSM
 from repm_qgis.evaluation.comparison import gradient
 from repm_qgis.imagery.raster import opened, read, write
 
@@ -77,7 +78,7 @@ _CASES: Dict[str, Callable[[], _Surfaces]] = {
 def own(folder: str) -> None:
     """Our own comparison of the two rasters of a folder."""
     files = {"dsm": f"{folder}/dsm.tif", "reference": f"{folder}/reference.tif", "error": f"{folder}/error.tif"}
-    stage("comparedsm", align="none", **files)
+    stage(COMPAREDSM, align="none", **files)
 
 
 def rows() -> List[Beside]:
@@ -104,10 +105,11 @@ def rows() -> List[Beside]:
 
         both = compared_with("apart", data, own, prepare, ours)
         inner = truth[1:-1, 1:-1]
-        theirs = both.theirs["distances"].reshape(truth.shape)[1:-1, 1:-1]
-        errors = [each - inner for each in (both.ours, theirs)]
-        rms = [f"{np.sqrt(np.mean(error**2)):.3f}" for error in errors]
-        right = [f"{100 * (np.abs(error) < _RIGHT_M).mean():.1f}" for error in errors]
+        errors = [both.ours - inner]
+        if both.theirs is not None:
+            errors.append(both.theirs["distances"].reshape(truth.shape)[1:-1, 1:-1] - inner)
+        rms = [*(f"{np.sqrt(np.mean(error**2)):.3f}" for error in errors), ABSENT][:2]
+        right = [*(f"{100 * (np.abs(error) < _RIGHT_M).mean():.1f}" for error in errors), ABSENT][:2]
         found.append(both.row("signed distances from a surface", name, "RMS error, m", *rms))
         found.append(both.row("", "", f"within {_RIGHT_M:g} m, %", *right))
     return found

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks import answers_walls
-from benchmarks.beside import Beside, compared_with
-from benchmarks.runner import is_quick, say
+from benchmarks.beside import ABSENT, Beside, compared_with
+from benchmarks.runner import few, is_quick, say
 from repm_qgis.simulation.surface import interpolate
 from repm_qgis.solids import cloud_points
 from repm_qgis.solids.normals import normals
@@ -42,8 +42,8 @@ def own(folder: str) -> None:
     given, made, number = np.load(f"{folder}/data.npz"), {}, 0
     walls = np.load(f"{folder}/walls.npz")
     while f"xyz_{number}" in given.files:
-        ray = tuple(float(part) for part in walls[f"ray_{number}"])
-        made[f"normals_{number}"] = normals(given[f"xyz_{number}"], walls[f"wall_{number}"], ray)
+        east, north = (float(part) for part in walls[f"ray_{number}"])
+        made[f"normals_{number}"] = normals(given[f"xyz_{number}"], walls[f"wall_{number}"], (east, north))
         number += 1
     np.savez(f"{folder}/own.npz", **made)
 
@@ -103,11 +103,11 @@ def rows() -> List[Beside]:
     """Angles from the true normals, with the points of each map by themselves, and all together under one camera."""
     say("normals")
     town = answers_walls.towns()[0]()
-    maps = _maps(town)[: 3 if is_quick() else None]
+    maps = few(_maps(town))
     points = np.concatenate([xyz for xyz, _, _ in maps])
     origin = points.mean(axis=0).round()
     chosen = np.flatnonzero(town.truth.inside(points + town.shift))
-    chosen = np.random.default_rng(0).permutation(chosen)[:_MOST]
+    chosen = np.random.default_rng(0).permutation(chosen)[: _MOST // (10 if is_quick() else 1)]
     judged = _true_normals(town, points[chosen] + town.shift)
 
     def prepare(folder: str) -> None:
@@ -130,7 +130,7 @@ def rows() -> List[Beside]:
         (alike, "points of each pair by themselves"),
         (together, "open3d: of all pairs, one camera above"),
     ):
-        theirs = _figures(_all(both.theirs)[chosen], *judged)
+        theirs = [ABSENT] * 3 if both.theirs is None else _figures(_all(both.theirs)[chosen], *judged)
         for number, figure in enumerate(names):
             part = "normals that look to the cameras" if both is alike and number == 0 else ""
             row = both.row(part, "" if number else data, figure, ours[number], theirs[number])

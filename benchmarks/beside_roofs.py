@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from benchmarks import buildings
 from benchmarks.answers_dtm import _on_truth
-from benchmarks.beside import Beside, Both, compared_with
+from benchmarks.beside import ABSENT, Beside, Both, compared_with
 from benchmarks.runner import few, say
 from repm_qgis.buildings.parameters import BUILDINGS
 from repm_qgis.buildings.roofs import RoofCells, fitted, roof_planes
@@ -91,7 +91,7 @@ def own(folder: str) -> None:
         counts.append(len(roof.planes))
         for index, plane in enumerate(roof.planes):
             on = chosen & (roof.numbers == index)
-            values = plane.at(x[where], y[where]), plane.east, plane.north
+            values = plane.at(x[where], y[where]), np.asarray(plane.east), np.asarray(plane.north)
             for band, value in zip(found, values):
                 band[where] = np.where(on, value, band[where])
     np.savez(f"{folder}/own.npz", found=found, counts=np.array(counts))
@@ -188,12 +188,14 @@ def rows() -> List[Beside]:
             say(f"{roofs.name}: {name}")
             both: Both = compared_with(way, data, own, prepare)
             ours = both.ours["found"].reshape(3, -1)[:, where].T
-            theirs = _theirs(data["points"], data["ends"], both.theirs["numbers"])
             own_figures = _figures(roofs, data["points"], where, ours, both.ours["counts"])
-            their_figures = _figures(roofs, data["points"], where, *theirs)
+            their_figures, few_planes = [ABSENT] * len(_NAMES), False
+            if both.theirs is not None:
+                theirs = _theirs(data["points"], data["ends"], both.theirs["numbers"])
+                their_figures = _figures(roofs, data["points"], where, *theirs)
+                few_planes = float(their_figures[0]) < _FEW_PERCENT  # of which other figures say nothing
             for index, figure in enumerate(_NAMES):
-                few_planes = float(their_figures[0]) < _FEW_PERCENT and index > 0  # of which other figures say nothing
-                if few_planes or own_figures[index] == their_figures[index] == "–":
+                if (few_planes and index > 0) or own_figures[index] == their_figures[index] == "–":
                     continue
                 part = "planes of roofs" if number == index == 0 and way == "ransac" else ""
                 label = f"{roofs.name}; open3d: `{name}`" if index == 0 else ""

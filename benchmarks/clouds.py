@@ -13,7 +13,7 @@ from typing import Any, List, Tuple
 
 import numpy as np
 
-from benchmarks.runner import alone, few
+from benchmarks.runner import alone, is_quick
 from benchmarks.tables import Section, table
 
 CRS, WEST, NORTH = "EPSG:32631", 600000.0, 4800000.0
@@ -85,13 +85,13 @@ def cost(function: Any, *arguments: object) -> Tuple[float, int]:
 
 
 def megabytes(path: str) -> float:
-    files = [path] if os.path.isfile(path) else [p for p in Path(path).rglob("*") if p.is_file()]
-    return sum(os.path.getsize(file) for file in files) / 1e6
+    files = [Path(path), *Path(path).rglob("*")]
+    return sum(file.stat().st_size for file in files if file.is_file()) / 1e6
 
 
 def displays() -> List[str]:
     rows: List[List[object]] = []
-    for side in few((1400, 4472)):
+    for side in (300,) if is_quick() else (1400, 4472):
         with tempfile.TemporaryDirectory() as folder:
             alone(make, folder, side)
             count = side * side / 1e6

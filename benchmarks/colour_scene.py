@@ -13,6 +13,7 @@ from typing import Dict, List, Tuple
 
 import numpy as np
 
+from benchmarks.scenes import simulation
 from repm_qgis.imagery.raster import RasterFrame, created, write
 from repm_qgis.rpc.writers import rpc_tags
 from repm_qgis.runtime.progress import Silent
@@ -38,7 +39,7 @@ def make_colour_scene(spec: SceneSpec, folder: str) -> Tuple[List[str], List[str
 
     The true colours are a raster of four bands over the ground (every node of the surface), without walls.
     """
-    made = make_scene(spec, folder, Silent())
+    made = make_scene(spec, folder, Silent(), simulation())
     sharp = make_views(spec)
     surface = make_surface(spec, surface_bounds(spec, sharp), Silent())
     tints = _tints(surface, spec.seed)
@@ -54,7 +55,9 @@ def make_colour_scene(spec: SceneSpec, folder: str) -> Tuple[List[str], List[str
         with created(paths[-1], frame, nodata=None, descriptions=tuple(tints), compress=False) as dataset:
             dataset.set_metadata(rpc_tags(fit.rpc.shifted(-bias[0], -bias[1])), "RPC")
             for band, tint in enumerate(tints.values(), start=1):
-                for first, strip in render_view(_tinted(surface, tint), view, spec.seed + 50 * band + number, Silent()):
+                for first, strip in render_view(
+                    _tinted(surface, tint), view, spec.seed + 50 * band + number, Silent(), simulation().render
+                ):
                     dataset.write(strip, 0, first, band)
     truth = str(Path(folder) / "colours.tif")
     place = surface.west - surface.cell / 2, surface.cell, 0.0, surface.north + surface.cell / 2, 0.0, -surface.cell

@@ -16,6 +16,7 @@ from benchmarks.runner import few, pipeline, stage
 from benchmarks.scenes import absent, default, real
 from benchmarks.scoring import heights_of, warped
 from benchmarks.tables import Section, table
+from repm_qgis.contracts.stages import COMPAREDSM
 from repm_qgis.imagery.confidence import Provenance
 
 FIFTHS = 5
@@ -29,15 +30,15 @@ _UNMATCHED = {
 def errors(images: Sequence[str], truth: str, folder: str) -> Tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Error, expected error (m) and source of the cells of a default DSM that have a height and a truth."""
     made = pipeline(images, folder, confidence=f"{folder}/confidence.tif")
-    shift = stage("comparedsm", dsm=made["output"], reference=truth, align="3d")
-    dataset = gdal.Open(made["output"])
+    shift = stage(COMPAREDSM, dsm=made.output, reference=truth, align="3d")
+    dataset = gdal.Open(made.output)
     west, cell, _, north, _, _ = dataset.GetGeoTransform()
-    height = heights_of(dataset) + shift["dz"]
+    height = heights_of(dataset) + shift.dz
     rows, columns = height.shape
-    x, y = west + shift["dx"], north + shift["dy"]
+    x, y = west + shift.dx, north + shift.dy
     bounds = (x, y - rows * cell, x + columns * cell, y)
     surface = warped(truth, outputBounds=bounds, width=columns, height=rows, resampleAlg="average")
-    confidence = gdal.Open(made["confidence"]).ReadAsArray().astype(np.float64)
+    confidence = gdal.Open(made.confidence).ReadAsArray().astype(np.float64)
     known = np.isfinite(height) & np.isfinite(surface) & (confidence[4] != -9999)
     return (height - surface)[known], confidence[4][known], confidence[3][known]
 

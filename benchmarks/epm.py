@@ -9,9 +9,10 @@ from typing import Any, Dict, Iterator, List, Tuple
 import numpy as np
 from osgeo import gdal
 
-from benchmarks.runner import alone, few, is_quick, stage
+from benchmarks.runner import alone, few, is_quick, stage, there
 from benchmarks.scenes import SHARED
 from benchmarks.tables import Details, Section, table
+from repm_qgis.contracts.stages import EPMFIT, ERRORMAP, EXPORTCAMERAS, REFINE, SAMPLEDATA
 from repm_qgis.geometry.equivalent_error import (
     EquivalentError,
     VirtualGrid,
@@ -23,6 +24,7 @@ from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.geometry.interpolation import upsample_grid
 from repm_qgis.geometry.refinement import PolynomialMap, Terrain
 from repm_qgis.geometry.surface import Surface
+from repm_qgis.imagery.raster import write
 from repm_qgis.rpc import Rpc
 from repm_qgis.rpc.fit import fit_rpc
 from repm_qgis.rpc.parameters import RpcFitParameters
@@ -238,12 +240,12 @@ def colmap_difference() -> float:
     import pycolmap
 
     with tempfile.TemporaryDirectory() as folder:
-        town = stage("sampledata", folder=folder, size=400)
-        fitted = stage("epmfit", images=town["images"], workspace=folder)
-        refined = stage("refine", scene=fitted["scene"], output_scene=f"{folder}/refined.json")["output_scene"]
-        made = stage("exportcameras", scene=refined, folder=f"{folder}/export", format="colmap", centre=False)
+        town = stage(SAMPLEDATA, folder=folder, size=400)
+        fitted = stage(EPMFIT, images=town.images, workspace=folder)
+        refined = stage(REFINE, scene=fitted.scene, output_scene=f"{folder}/refined.json").output_scene
+        made = stage(EXPORTCAMERAS, scene=refined, folder=f"{folder}/export", format="colmap", centre=False)
         scene = Scene.load(refined)
-        model = pycolmap.Reconstruction(f"{made['models'][0]}/sparse/0")
+        model = pycolmap.Reconstruction(f"{made.models[0]}/sparse/0")
         tile = scene.tiles[0]
         low, high = scene.altitudes
         ground = np.random.default_rng(3).uniform((-80, -80, low), (80, 80, high), (500, 3))
@@ -252,7 +254,7 @@ def colmap_difference() -> float:
             view = next(view for name, view in tile.views.items() if image.name.startswith(name))
             theirs = np.array([image.project_point(point) for point in ground])
             # COLMAP's pixels begin at the first pixel's corner.
-            worst = max(worst, float(np.abs(theirs - 0.5 - view.refined.camera.project(ground)).max()))
+            worst = max(worst, float(np.abs(theirs - 0.5 - there(view.refined).camera.project(ground)).max()))
     return worst
 
 
@@ -280,18 +282,23 @@ def project_seconds() -> float:
     return time.process_time() - start
 
 
+def full_image(look: int, folder: str) -> str:
+    """A full scene's image with content everywhere: a small one of noise, enlarged by a VRT."""
+    small, path = f"{folder}/{look}_small.tif", f"{folder}/{look}.vrt"
+    write(small, [np.random.default_rng(look).integers(200, 2000, (400, 400)).astype(np.uint16)], None, "")
+    image = gdal.Translate(path, small, format="VRT", width=40000, height=40000)
+    image.SetMetadata(rpc_tags(full_rpc(look)), "RPC")
+    image = None  # noqa: F841 - it is written now
+    return path
+
+
 def error_map_seconds() -> float:
     with tempfile.TemporaryDirectory() as folder:
-        images = [f"{folder}/{look}.tif" for look in (1, 0)]
-        for look, path in zip((1, 0), images):
-            options = ["SPARSE_OK=TRUE", "TILED=YES"]
-            image = gdal.GetDriverByName("GTiff").Create(path, 40000, 40000, 1, gdal.GDT_UInt16, options)
-            image.SetMetadata(rpc_tags(full_rpc(look)), "RPC")
-            image = None
+        images = [full_image(look, folder) for look in (1, 0)]
         area: Dict[str, object] = {"altitude_min": 0.0, "altitude_max": 1500.0, "tile_size": 10000}
-        made = stage("epmfit", images=images, workspace=f"{folder}/w", **area)
+        made = stage(EPMFIT, images=images, workspace=f"{folder}/w", **area)
         start = time.perf_counter()
-        stage("errormap", scene=made["scene"], output=f"{folder}/error.tif")
+        stage(ERRORMAP, scene=made.scene, output=f"{folder}/error.tif")
         return time.perf_counter() - start
 
 

@@ -28,14 +28,17 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Callable, Dict, Iterator, List, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Tuple
 
 import numpy as np
 from osgeo import gdal
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
+
+from repm_qgis.contracts.results import SampleDataResult  # noqa: E402
 
 PRODUCTS = {"output": "dsm.tif", "confidence": "confidence.tif", "cloud": "cloud.laz", "ept": "ept", "mesh": "mesh.ply"}
 ORPHANS_S = 5.0
@@ -68,12 +71,12 @@ class Ended:
     """How a process ended: code (negative: signal), its messages, standard error, and how long it took."""
 
     code: int
-    messages: List[Dict[str, object]]
+    messages: List[Dict[str, Any]]
     errors: str
     seconds: float
 
     @property
-    def last(self) -> Dict[str, object]:
+    def last(self) -> Dict[str, Any]:
         return self.messages[-1] if self.messages else {}
 
     def problems(self, killed: bool = False) -> List[str]:
@@ -97,7 +100,7 @@ class Bench:
         self.folder, self.random, self._count = folder, random.Random(seed), 0  # noqa: S311 - a reproducible campaign
         self.hang_s = UNDISTURBED_S
         made = self._whole(self.start("sampledata", {"folder": str(folder / "town"), "size": 420}))
-        self.images = made.last["result"]["images"]
+        self.images = list(SampleDataResult.from_mapping(made.last["result"]).images)
         start = time.monotonic()
         ended = self._whole(self.start("pipeline", self.job(folder / "reference")))
         self.seconds = time.monotonic() - start
@@ -107,7 +110,7 @@ class Bench:
         if ended.code or len(self.reference) < len(PRODUCTS):
             raise SystemExit(f"faults: the undisturbed run failed: {ended.last}")
 
-    def job(self, place: Path, **options: object) -> Dict[str, object]:
+    def job(self, place: Path, **options: object) -> Dict[str, Any]:
         made = {name: str(place / file) for name, file in PRODUCTS.items()}
         return {"images": self.images, "workspace": str(place / "w"), "tile_size": 256, "workers": 2, **made, **options}
 
@@ -118,11 +121,11 @@ class Bench:
         path.mkdir()
         return path
 
-    def start(self, stage: str, job: Dict[str, object], **keywords: object) -> "Running":
+    def start(self, stage: str, job: Dict[str, object], limits: Optional[Callable[[], object]] = None) -> "Running":
         self._count += 1
         path = self.folder / f"job{self._count}.json"
         path.write_text(json.dumps(job))
-        return Running([sys.executable, "-m", "repm_qgis", stage, str(path)], hang_s=self.hang_s, **keywords)
+        return Running([sys.executable, "-m", "repm_qgis", stage, str(path)], hang_s=self.hang_s, limits=limits)
 
     @staticmethod
     def _whole(running: "Running") -> Ended:
@@ -136,24 +139,29 @@ class Bench:
 class Running:
     """A process in a session of its own, whose output goes to files: a pipe would hide that orphans hold it open."""
 
-    def __init__(self, command: List[str], hang_s: float = HANG_S, **keywords: object) -> None:
+    def __init__(
+        self,
+        command: List[str],
+        hang_s: float = HANG_S,
+        environment: Optional[Mapping[str, str]] = None,
+        limits: Optional[Callable[[], object]] = None,
+    ) -> None:
         self.mark, self._hang_s = os.urandom(8).hex(), hang_s
         self._streams = [tempfile.TemporaryFile() for _ in range(2)]
         self._start = time.monotonic()
-        environment = {**os.environ, MARK: self.mark, **keywords.pop("environment", {})}
-        apart: Dict[str, object] = {"start_new_session": True}
+        own = {**os.environ, MARK: self.mark, **(environment or {})}
         if WINDOWS:
-            environment["REPM_ENGINE_WATCH_STDIN"] = "1"  # as the plugin starts it there
-            apart = {"creationflags": 0x200}  # CREATE_NEW_PROCESS_GROUP
+            own["REPM_ENGINE_WATCH_STDIN"] = "1"  # as the plugin starts it there
         self.process = subprocess.Popen(
             command,
             cwd=ROOT,
-            env=environment,
+            env=own,
             stdin=subprocess.PIPE if WINDOWS else subprocess.DEVNULL,
             stdout=self._streams[0],
             stderr=self._streams[1],
-            **apart,
-            **keywords,
+            start_new_session=not WINDOWS,
+            creationflags=0x200 if WINDOWS else 0,  # CREATE_NEW_PROCESS_GROUP
+            preexec_fn=limits,  # noqa: PLW1509 - one thread here
         )
 
     def cancel(self) -> None:
@@ -581,8 +589,8 @@ def memory_limits(bench: Bench, count: int, score: Score) -> None:
         running = bench.start(
             "pipeline",
             bench.job(place),
-            preexec_fn=lambda limit=limit: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
-        )  # noqa: PLW1509 - one thread here
+            limits=partial(resource.setrlimit, resource.RLIMIT_AS, (limit, limit)),
+        )
         ended = running.end()
         problems = ended.problems() + running.orphans() + state_of(place, bench.reference)
         if ended.code == 1 and not any(

@@ -15,7 +15,7 @@ import numpy as np
 from osgeo import gdal
 
 from benchmarks.runner import few, pipeline
-from benchmarks.scenes import Scene, absent, real
+from benchmarks.scenes import Scene, absent, real_or_town
 from benchmarks.scoring import difference, nmad, scores
 from benchmarks.tables import Section, table
 from repm_qgis.imagery.raster import quiet
@@ -109,7 +109,7 @@ def measured(
         place.mkdir(parents=True)
         images.append(form.write(image, place))
     off = max(map(rpc_error_px, images, scene.images))
-    dsm = pipeline(images, folder, resolution=scene.resolution, **options)["output"]
+    dsm = pipeline(images, folder, resolution=scene.resolution, **options).output
     found = scores(dsm, scene.reference, scene.align)
     same = nmad(difference(dsm, reference)) if reference else 0.0
     return [found.valid, same, off, found.rmse]
@@ -118,10 +118,11 @@ def measured(
 def of(scene: Scene, work: str) -> List[List[object]]:
     """The rows of a scene: each form alone, then mixed."""
     named: Dict[str, Form] = {form.name: form for form in FORMS}
-    alone = [[form] * len(scene.images) for form in FORMS] if scene.name == NAMES[0] else [[FORMS[0]] * 3]
+    alone = [[FORMS[0]] * 3] if scene.name == NAMES[1] else [[form] * len(scene.images) for form in FORMS]
+    mixed = MIXED.get(scene.name, MIXED[NAMES[len(scene.images) > 2]])
     rows: List[List[object]] = []
     reference = None
-    for number, forms in enumerate([*few(alone), *few([[named[name] for name in one] for one in MIXED[scene.name]])]):
+    for number, forms in enumerate([*few(alone), *few([[named[name] for name in one] for one in mixed])]):
         names, drivers = (
             " + ".join(dict.fromkeys(each)) for each in zip(*((form.name, form.driver) for form in forms))
         )
@@ -129,7 +130,7 @@ def of(scene: Scene, work: str) -> List[List[object]]:
         if missing:
             rows.append([scene.name, names, drivers, f"not measured: this GDAL does not write {missing[0]}", *"---"])
             continue
-        folder = f"{work}/{scene.name}_{number}"
+        folder = f"{work}/{scene.name.split()[0]}_{number}"
         os.makedirs(folder)
         rows.append([scene.name, names, drivers, *measured(scene, forms, reference, folder)])
         reference = reference or f"{folder}/dsm.tif"
@@ -142,15 +143,15 @@ def of(scene: Scene, work: str) -> List[List[object]]:
 
 def forms() -> List[str]:
     with tempfile.TemporaryDirectory() as work:
-        rows = [row for scene in real(*NAMES) for row in of(scene, work)]
+        rows = [row for scene in real_or_town(*NAMES) for row in of(scene, work)]
     return [
         "The real pair, and three views of which each has another form, written by GDAL "
         f"{gdal.VersionInfo('RELEASE_NAME')} in other forms: values of 12 bits (94 to 1883), RGBA with three equal "
         "colours, 8 bits from 80 to 700 linearly. Every DSM is compared with that of the files as they came and with "
-        "S2P's; the RPC of each file with the original's, at the corners and at the ends of its heights.",
+        "S2P's, the reference; the RPC of each file with the original's, at the corners and the ends of its heights.",
         table(
-            "images | form | driver | valid, % of S2P's cells | NMAD against the original's DSM, m | RPC off by, px | "
-            "RMSE against S2P, m",
+            "images | form | driver | valid, % of the reference's cells | NMAD against the original's DSM, m | RPC off "
+            "by, px | RMSE against the reference, m",
             rows,
         ),
         *absent(*NAMES),

@@ -19,10 +19,12 @@ import cv2
 import numpy as np
 from osgeo import gdal
 
-from benchmarks.runner import ROOT, few, is_quick, measured, resident_gib, say, stage
+from benchmarks.runner import ROOT, few, is_quick, measured, resident_gib, say, stage, there
 from benchmarks.tables import Section, table
 from repm_qgis.contracts.arrays import Altitudes, Bounds
 from repm_qgis.contracts.records import HeightMapRecord
+from repm_qgis.contracts.results import DsmFuseResult
+from repm_qgis.contracts.stages import EPMFIT
 from repm_qgis.matching.pair_backend import rectified_over_tile
 from repm_qgis.rpc.fit import fit_rpc
 from repm_qgis.rpc.writers import rpc_tags
@@ -40,8 +42,9 @@ Work = Tuple[Scene, str, Bounds, Altitudes, Tuple[str, str], str]
 
 def made_up_images(size: int, folder: Path) -> List[str]:
     """Images of noise with RPCs: the heights are made up as well, but a town's choice reads its images."""
-    paths, noise = [], np.random.default_rng(5).integers(40, 200, (256, size)).astype(np.uint8)
+    paths, random = [], np.random.default_rng(5)
     for view in make_views(SceneSpec.default("urban", size, 1)):
+        noise = random.integers(40, 200, (256, size)).astype(np.uint8)  # of its own: no two files show the same image
         paths.append(str(folder / f"{view.name}.tif"))
         dataset = gdal.GetDriverByName("GTiff").Create(paths[-1], size, size, 1, gdal.GDT_Byte, ["TILED=YES"])
         for row in range(0, size, len(noise)):
@@ -62,7 +65,7 @@ def height_map(work: Work) -> HeightMapRecord:
     """Write the height map that a pair would give of a tile, with 0.2 px of smooth noise."""
     scene, tile, bounds, altitudes, names, path = work
     first, second = (scene.view(name) for name in names)
-    pair = rectified_over_tile(scene, (first.name, second.name), bounds, altitudes)
+    pair = there(rectified_over_tile(scene, (first.name, second.name), bounds, altitudes))
     geometry = pair_geometry(pair, first, second, altitudes, scene.crs)
     width, rows = pair.size
     axes = np.arange(width, dtype=float), np.arange(rows, dtype=float)
@@ -95,8 +98,8 @@ def height_map(work: Work) -> HeightMapRecord:
 def scene_of(size: int, pairs: int, folder: Path) -> str:
     """A scene of ``size`` px a side with height maps of so many pairs; returns its path."""
     images = made_up_images(size, folder)
-    made = stage("epmfit", images=images, workspace=str(folder / "w"), altitude_min=170.0, altitude_max=250.0)
-    scene = replace(Scene.load(made["scene"]), refinement="polynomial")
+    made = stage(EPMFIT, images=images, workspace=str(folder / "w"), altitude_min=170.0, altitude_max=250.0)
+    scene = replace(Scene.load(made.scene), refinement="polynomial")
     names = [(scene.views[i].name, scene.views[j].name) for i, j in ((0, 1), (1, 2), (0, 2))][:pairs]
     lean = scene.lean()
     tasks = [
@@ -119,10 +122,10 @@ def fused(size: int, pairs: int, cell: float) -> List[object]:
         (folder / "job.json").write_text(json.dumps({**options, "workers": WORKERS}))
         command = [sys.executable, "-m", "repm_qgis", "dsmfuse", str(folder / "job.json")]
         text, cost = measured(command, str(ROOT), resident_gib())
-    result = json.loads(text.splitlines()[-1])["result"]
-    mcells = result["cells"] / 1e6
+    result = DsmFuseResult.from_mapping(json.loads(text.splitlines()[-1])["result"])
+    mcells = result.cells / 1e6
     rate, memory = f"{mcells / cost.cpu_s * WORKERS:.2f}", f"{1024 * cost.peak_gib:.0f}"
-    return [f"{mcells:.1f}", pairs, cell, result["valid_percent"], cost.wall_s, cost.cpu_s, rate, memory]
+    return [f"{mcells:.1f}", pairs, cell, result.valid_percent, cost.wall_s, cost.cpu_s, rate, memory]
 
 
 def costs() -> List[str]:

@@ -11,6 +11,7 @@ from typing import Callable, Sequence
 import numpy as np
 from scipy import ndimage
 
+from benchmarks.scenes import simulation
 from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.gcps import common_square
@@ -101,7 +102,7 @@ def town_under(spec: SceneSpec, sun: Sun) -> SimulatedSurface:
 
 def exposed(surface: SimulatedSurface, view: PushbroomView, seed: int) -> np.ndarray:
     """The whole image (rows, columns) of a view."""
-    return np.concatenate([strip for _, strip in render_view(surface, view, seed, Silent())])
+    return np.concatenate([strip for _, strip in render_view(surface, view, seed, Silent(), simulation().render)])
 
 
 def write_scene(folder: Path, spec: SceneSpec, surfaces: Sequence[SimulatedSurface], write: Writer) -> None:

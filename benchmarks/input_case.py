@@ -9,7 +9,7 @@ import sys
 import tempfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Callable, Dict, Iterable, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import gdal
@@ -31,7 +31,7 @@ class Ended:
     """How a stage ended: its result, or its error; what it said, its folder, and the CPU seconds it took."""
 
     folder: Path
-    result: Dict[str, object] = field(default_factory=dict)
+    result: Dict[str, Any] = field(default_factory=dict)
     error: str = ""
     said: List[str] = field(default_factory=list)
     warned: List[str] = field(default_factory=list)

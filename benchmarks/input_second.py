@@ -403,7 +403,7 @@ def _bounds(images: Sequence[str], folder: Path) -> Tuple[Bounds, str]:
     ended = run_in(ROOT, "epmfit", {"images": list(images), "workspace": str(folder / "w")}, folder)
     if ended.error:
         raise RepmError(ended.error)
-    scene = Scene.load(ended.result["scene"])
+    scene = Scene.load(str(ended.result["scene"]))
     return enclosing([tile.bounds for tile in scene.tiles]), scene.crs
 
 
@@ -428,7 +428,7 @@ def _half(images: Sequence[str], bounds: Bounds, crs: str, side: int, folder: Pa
 def sound_mosaics() -> List[str]:
     """What a mosaic says of two parts of a sound scene, one in metres and one in feet."""
     rows = []
-    for name, images in few(list(sound_scenes())):
+    for name, images in few(sound_scenes()):
         say(f"{name} ...")
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place)

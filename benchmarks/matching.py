@@ -12,14 +12,15 @@ import tempfile
 import time
 from dataclasses import replace
 from functools import partial
-from typing import Any, Dict, List, Sequence, Tuple
+from typing import Any, Dict, List, Mapping, Sequence, Tuple
 
 import cv2
 import numpy as np
 
-from benchmarks.runner import few, is_quick, pipeline
+from benchmarks.runner import few, is_quick, pipeline, there
 from benchmarks.scenes import Scene, absent, default, real
 from benchmarks.tables import Details, Section, table
+from repm_qgis.contracts.arrays import FloatImage
 from repm_qgis.evaluation.scoring import score
 from repm_qgis.fusion.aggregation import aggregate, rim_cells
 from repm_qgis.fusion.parameters import FUSION
@@ -49,7 +50,7 @@ class MatchedPair:
         names = first.name, second.name
         stretches = view_stretch(first.image, first.band), view_stretch(second.image, second.band)
         self.task = PairTask(sgm.BACKEND, scene, tile.id, tile.bounds, tile.altitudes, names, stretches, "", "")
-        self.frame = rectified_over_tile(scene, names, tile.bounds, tile.altitudes)
+        self.frame = there(rectified_over_tile(scene, names, tile.bounds, tile.altitudes))
         self.geometry = pair_geometry(self.frame, first, second, tile.altitudes, scene.crs)
 
     def matched(self, parameters: MatchingParameters = MATCHING, backend: PairBackend = sgm.BACKEND) -> DisparityMap:
@@ -63,7 +64,7 @@ class Case(MatchedPair):
         self.name, self.align = name or scene.name, scene.align
         with tempfile.TemporaryDirectory() as work:
             made = pipeline([scene.images[view] for view in views], work, resolution=CELL)
-            super().__init__(SceneFile.load(made["scene"]), (0, 1))
+            super().__init__(SceneFile.load(made.scene), (0, 1))
         with opened(scene.reference) as dataset:
             west, cell, _, north, _, _ = dataset.GetGeoTransform()
             size = dataset.RasterXSize, dataset.RasterYSize
@@ -101,16 +102,21 @@ def ranks(image: np.ndarray) -> np.ndarray:
     return rank * np.uint8(5)
 
 
-def corrected_twice(disparity: np.ndarray, *others: object) -> np.ndarray:
+def corrected_twice(disparity: np.ndarray, *others: Any) -> np.ndarray:
     return correct_depth_edges(correct_depth_edges(disparity, *others), *others)
 
 
 def lower_end_of_rows(
-    first: Any, second: Any, disparities: Any, height_sign: float, relief: float = 0.0, parameters: Any = MATCHING
+    first: FloatImage,
+    second: FloatImage,
+    disparities: Tuple[int, int],
+    height_sign: float,
+    relief_displacement: float = 0.0,
+    parameters: MatchingParameters = MATCHING,
 ) -> DisparityMap:
     """The matcher with occlusions filled as in its first version: by the lower of a gap's two ends in its row."""
     empty = replace(parameters, occlusions=replace(parameters.occlusions, **NOT_FILLED))
-    found = sgm.match(first, second, disparities, height_sign, relief, empty)
+    found = sgm.match(first, second, disparities, height_sign, relief_displacement, empty)
     surface, columns = np.float32(height_sign) * found.disparity, np.arange(first.shape[1])[None, :]
     known, rows = np.isfinite(surface), np.arange(first.shape[0])[:, None]
     before = np.maximum.accumulate(np.where(known, columns, -1), axis=1)
@@ -123,7 +129,7 @@ def lower_end_of_rows(
     return DisparityMap(np.where(filled, known_median(dense, 5), dense), found.score, filled)
 
 
-def changed(**sets: Dict[str, object]) -> MatchingParameters:
+def changed(**sets: Mapping[str, object]) -> MatchingParameters:
     """The default parameters with other values in some of their sets."""
     return replace(MATCHING, **{name: replace(getattr(MATCHING, name), **values) for name, values in sets.items()})
 
@@ -135,7 +141,7 @@ def operations(*names: str, **values: object) -> MatchingParameters:
 NEVER = 2**31 - 1
 NO_MASK = changed(reliability={"least_px": NEVER, "endless_px": NEVER})
 AS_MATCHED = {"median_px": 1, "step_px": math.inf}
-NOT_FILLED = {"slack_px": -math.inf, "narrow_px": -1}
+NOT_FILLED: Dict[str, Any] = {"slack_px": -math.inf, "narrow_px": -1}
 STEP, STEPS = ("step",) * 2, ("step",) * 4
 VARIANTS: Dict[str, MatchingParameters] = {
     "as it is": MATCHING,
@@ -204,8 +210,8 @@ def choices() -> List[str]:
     texts: List[str] = []
     for case in few(cases + [Case(scene) for scene in real("truth_urban", "pleiades_pair") if not is_quick()]):
         rows = []
-        for label, parameters in VARIANTS.items():
-            found = case.score(parameters, BACKENDS.get(label, sgm.BACKEND))
+        for label in [*few(VARIANTS), *BACKENDS] if is_quick() else VARIANTS:
+            found = case.score(VARIANTS[label], BACKENDS.get(label, sgm.BACKEND))
             rows.append([label, *(round(value, 3) for value in found)])
         (low, high), (width, height) = case.geometry.disparities, case.frame.size
         of = "" if case.align else " (reference: S2P's DSM)"

@@ -14,6 +14,7 @@ from benchmarks.runner import alone, few, is_quick, say, stage
 from benchmarks.scenes import CACHE, made_once
 from benchmarks.tables import DOCS, Section, table
 from repm_qgis.contracts.arrays import Bounds
+from repm_qgis.contracts.stages import MOSAIC
 from repm_qgis.imagery import raster
 from repm_qgis.numerics.robust import nmad
 from repm_qgis.reports.pictures import gradients, hillshade, png_bytes
@@ -151,19 +152,20 @@ def seams() -> List[str]:
     errors = [path.replace("dsm_", "confidence_") for path in dsms]
     rows: List[List[object]] = []
     off = 0.0
+    no_errors: Dict[str, List[str]] = {}
     with tempfile.TemporaryDirectory() as work:
-        for label, more in few((("equal weights", {}), ("expected errors given", {"confidences": errors}))):
+        for label, more in few([("equal weights", no_errors), ("expected errors given", {"confidences": errors})]):
             out = {"output": f"{work}/mosaic.tif", "sources": f"{work}/sources.tif", "report": f"{work}/report.html"}
             start = time.monotonic()
-            made = stage("mosaic", dsms=dsms, **out, **more)
+            made = stage(MOSAIC, dsms=dsms, **out, **more)
             seconds = time.monotonic() - start
             mosaic, source = read(out["output"])[: truth.shape[0], : truth.shape[1]], read(out["sources"])
             source = source[: truth.shape[0], : truth.shape[1]]
             if not rows:
-                kept = [np.zeros(len(dsms)), [each["added"] for each in made["offsets"]]]
+                kept = [[0.0] * len(dsms), [each.added for each in made.offsets]]
                 for name, each in zip(("pasted, no offsets", "pasted, with the offsets"), kept):
-                    rows.append([name, *figures(pasted(folder, truth, source, list(each)) - truth, source), ""])
-            added = np.array([each["added"] for each in made["offsets"]])
+                    rows.append([name, *figures(pasted(folder, truth, source, each) - truth, source), ""])
+            added = np.array([each.added for each in made.offsets])
             off = float(np.abs(added + OFFSETS - OFFSETS.mean()).max())
             rows.append([label, *figures(mosaic - truth, source), round(seconds, 1)])
             say(rows[-1])
@@ -204,15 +206,15 @@ def picture(path: Path, *surfaces: np.ndarray) -> None:
 # Cost -------------------------------------------------------------------------------------------------------------
 
 
-def enlarged(times: int, folder: str) -> Dict[str, object]:
+def enlarged(times: int, folder: str) -> float:
     """A mosaic of the town's DSMs in cells ``times`` finer along each side, made in this process alone."""
     bound_cache()  # as the engine does
     town_folder = town()
     dsms = [str(town_folder / f"dsm_{i + 1:02d}.tif") for i in range(ROWS * COLUMNS)]
     made = stage(
-        "mosaic", dsms=dsms, output=f"{folder}/m.tif", sources=f"{folder}/s.tif", workers=1, resolution=CELL / times
+        MOSAIC, dsms=dsms, output=f"{folder}/m.tif", sources=f"{folder}/s.tif", workers=1, resolution=CELL / times
     )
-    return {"seconds": made["seconds"]}
+    return made.seconds
 
 
 def memory() -> List[str]:

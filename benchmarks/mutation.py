@@ -100,7 +100,10 @@ def _between(comparison: ast.Compare) -> Iterator[Any]:
 def _ruled(tree: ast.Module) -> Iterator[Tuple[Any, str]]:
     for node in ast.walk(tree):
         if isinstance(node, (ast.If, ast.IfExp)) and _OTHER_SYSTEM.search(ast.unparse(node.test)):
-            yield from ((part, PLATFORM) for part in (node.body if isinstance(node, ast.If) else [node]))
+            parts: Sequence[ast.AST] = [node]
+            if isinstance(node, ast.If):
+                parts = node.body
+            yield from ((part, PLATFORM) for part in parts)
         elif isinstance(node, ast.FunctionDef):
             if node.name.startswith("_windows"):
                 yield node, PLATFORM
@@ -271,8 +274,8 @@ class Tests:
     def __init__(self) -> None:
         tools = next(iter((PLACE / "tool").glob("lib/python*/site-packages")), "")
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "REPM_TOOLS": str(tools)}
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-        self._server = subprocess.Popen([PYTHON, "-c", _SERVER], text=True, env=environment, **pipes)
+        command, pipe = [PYTHON, "-c", _SERVER], subprocess.PIPE
+        self._server = subprocess.Popen(command, text=True, env=environment, stdin=pipe, stdout=pipe)
 
     def code(self, tests: Sequence[str], limit_s: float, coverage: str = "-") -> int:
         """pytest's exit code, 0 where all passed; negative or 124 after the limit. A file for ``coverage`` gets the

@@ -21,6 +21,7 @@ from benchmarks.scenes import CACHE, SHARED, made_once, quick_size
 from benchmarks.tables import DOCS, Section, table
 from repm_qgis.contracts.arrays import Window
 from repm_qgis.contracts.options import DsmFuseOptions
+from repm_qgis.contracts.stages import DSMFUSE, EXPORTRPC
 from repm_qgis.fusion.finished import FinishedSurface
 from repm_qgis.fusion.visible import nadir_first
 from repm_qgis.geometry.cell_grid import overlapping_blocks
@@ -88,7 +89,7 @@ def _apart(moved: np.ndarray, fixed: np.ndarray) -> np.ndarray:
     return np.array(found).reshape(-1, 2)
 
 
-def _on(path: str, like: str, algorithm: str = "cubic", **options: object) -> np.ndarray:
+def _on(path: str, like: str, algorithm: str = "cubic", /, **options: object) -> np.ndarray:
     """(B, H, W) a raster or an image on another raster's cells, by GDAL alone; NaN where it has nothing."""
     dataset = gdal.Open(like)
     x, cell, _, y, _, down = dataset.GetGeoTransform()
@@ -102,8 +103,16 @@ def _on(path: str, like: str, algorithm: str = "cubic", **options: object) -> np
 def _grey_ortho(scene: Scene, views: Sequence[View], dsm: str, cell: float, parameters: OrthoParameters = ORTHO) -> str:
     path = str(Path(tempfile.mkdtemp(dir=Path(dsm).parent)) / "ortho.tif")
     options, surface = DsmFuseOptions(scene=str(scene.path), output=dsm, workers=1), _surface(scene, dsm)
-    given = {"path": path, "folder": str(Path(path).parent), "progress": Silent(), "cell": cell}
-    make_grey_ortho(views, surface, options, parameters=parameters, **given)
+    make_grey_ortho(
+        views,
+        surface,
+        options,
+        path=path,
+        folder=str(Path(path).parent),
+        progress=Silent(),
+        cell=cell,
+        parameters=parameters,
+    )
     return path
 
 
@@ -182,7 +191,7 @@ def _projected(scene: Scene, view: View, dsm: str, like: str, work: str) -> np.n
     """A view's brightness on a raster's cells, by GDAL's own RPC transformer, which draws what hides the ground too."""
     folder = Path(work) / "rpcs"
     if not folder.exists():
-        stage("exportrpc", scene=str(scene.path), rpc_folder=str(folder))
+        stage(EXPORTRPC, scene=str(scene.path), rpc_folder=str(folder))
     ways = {"rpc": True, "errorThreshold": 0.0, "transformerOptions": [f"RPC_DEM={dsm}"]}
     found = _on(str(folder / f"{view.name}.vrt"), like, **ways)
     if len(found) == 1:
@@ -323,7 +332,7 @@ def picture() -> List[str]:
     with tempfile.TemporaryDirectory() as work:
         for cell in (0.62, 0.31):
             made = {"output": f"{work}/dsm.tif", "ortho": f"{work}/{cell}.tif", "ortho_resolution": cell}
-            stage("dsmfuse", scene=str(scene.path), workers=1, **made)
+            stage(DSMFUSE, scene=str(scene.path), workers=1, **made)
             dataset = gdal.Open(made["ortho"])
             x, _, _, y, _, _ = dataset.GetGeoTransform()
             ends = (x + _PART_M[0], y - _PART_M[1] - _PART_M[2], x + _PART_M[0] + _PART_M[2], y - _PART_M[1])

@@ -4,21 +4,29 @@ exchanged."""
 from __future__ import annotations
 
 import tempfile
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Any, Iterator, List, Optional, Sequence, Tuple
+from unittest import mock
 
 from osgeo import gdal
 
 from benchmarks import towns
-from benchmarks.runner import few, say
+from benchmarks.runner import few, say, there
 from benchmarks.scenes import absent, default, real, simulated, whu_tlc, zy3
 from benchmarks.tables import Section, table
 from repm_qgis.contracts.errors import RepmError
+from repm_qgis.contracts.records import PointingFigures
+from repm_qgis.contracts.stages import PIPELINE
 from repm_qgis.planning.height_uncertainty import height_uncertainty
-from repm_qgis.pointing import exchanged, pointing
-from repm_qgis.pointing.exchanged import Exchange, exchanges
+from repm_qgis.pointing import pointing
+from repm_qgis.pointing.exchanged import Exchange, exchanges, require_own_rpcs
+from repm_qgis.pointing.parameters import POINTING
 from repm_qgis.runtime.progress import Silent
+from repm_qgis.scene import View
 from repm_qgis.stages import run_stage
+from repm_qgis.ties.tracks import Track
 
 
 class _Heard(Exception):
@@ -37,7 +45,9 @@ def sound_scenes() -> Iterator[Tuple[str, Sequence[str]]]:
     for kind, seeds in (("urban", (4, 5, 6, 7, 8)), ("mountains", (3, 5, 6, 7))):
         for seed in seeds:
             yield f"simulated {kind}, seed {seed}", default(kind, 800, seed).images[:2]
-    yield "simulated ZY-3", _three_lines()
+    first, middle, last = _three_lines()
+    yield "simulated ZY-3", (first, middle, last)
+    yield "simulated ZY-3, forward and backward", (first, last, middle)
 
 
 def _three_lines() -> Sequence[str]:
@@ -57,49 +67,58 @@ def _exchanged(images: Sequence[str], folder: str) -> List[str]:
     return made
 
 
-def _told(images: Sequence[str]) -> Dict[str, object]:
-    """What the pointing of images finds; ``refused`` where there is none."""
-    found: Dict[str, object] = {"pairs": []}
-    checks, log = pointing.require_own_rpcs, pointing._log
+@dataclass
+class _Told:
+    """What the pointing of images finds: what each exchange would change, the views with their pointing and its figures
+    where there is one, and else why it is refused."""
 
-    def every_pair(*given: object) -> None:
-        found["pairs"] = list(exchanges(*given[:3]))
-        checks(*given)
+    pairs: List[Exchange] = field(default_factory=list)
+    views: Sequence[View] = ()
+    figures: Optional[PointingFigures] = None
+    refused: str = ""
 
-    def heard(views: Any, figures: Any, *rest: object) -> None:
-        found.update(views=views, figures=figures)
+
+def _told(images: Sequence[str]) -> _Told:
+    found = _Told()
+
+    def every_pair(views: Sequence[View], tracks: Sequence[Track], altitude: float, *given: Any, **named: Any) -> None:
+        found.pairs = list(exchanges(views, tracks, altitude))
+        require_own_rpcs(views, tracks, altitude, *given, **named)
+
+    def heard(views: Sequence[View], figures: PointingFigures, *rest: object) -> None:
+        found.views, found.figures = views, figures
         raise _Heard
 
-    pointing.require_own_rpcs, pointing._log = every_pair, heard
-    try:
-        with tempfile.TemporaryDirectory() as place:
-            options = {"images": list(images), "workspace": f"{place}/w", "output": f"{place}/dsm.tif", "workers": 1}
-            run_stage("pipeline", options, Silent())
-    except _Heard:
-        pass
-    except RepmError as error:
-        found["refused"] = str(error)
-    finally:
-        pointing.require_own_rpcs, pointing._log = checks, log
+    with (
+        tempfile.TemporaryDirectory() as place,
+        mock.patch.multiple(pointing, require_own_rpcs=every_pair, _log=heard),
+        suppress(_Heard),
+    ):
+        options = {"images": list(images), "workspace": f"{place}/w", "output": f"{place}/dsm.tif", "workers": 1}
+        try:
+            run_stage(PIPELINE, options, Silent())
+        except RepmError as error:
+            found.refused = str(error)
     return found
 
 
 def _row(name: str, images: Sequence[str]) -> List[object]:
     sound = _told(images)
+    figures = there(sound.figures, f"the pointing of {name} ({sound.refused})")
     with tempfile.TemporaryDirectory() as folder:
         crossed = _told(_exchanged(images, folder))
-    worst = max((each.evidence for each in sound["pairs"]), default=float("nan"))
-    known = height_uncertainty(sound["views"], sound["figures"])
-    best: Optional[Exchange] = max(crossed["pairs"], key=lambda each: each.evidence, default=None)
-    outcome = "refused" if "refused" in crossed else "accepted"
-    limit = exchanged.POINTING.exchange.least_evidence
+    worst = max((each.evidence for each in sound.pairs), default=float("nan"))
+    known = height_uncertainty(sound.views, figures)
+    best = max(crossed.pairs, key=lambda each: each.evidence, default=None)
+    outcome = "refused" if crossed.refused else "accepted"
+    limit = POINTING.exchange.least_evidence
     if outcome == "accepted" and best is not None and best.evidence >= -limit:
         outcome = "warned" if best.evidence > limit else "the log says that nothing tells"
     return [
         name,
-        "; ".join(f"{each.own_px:.2f} / {each.exchanged_px:.2f}" for each in sound["pairs"]),
+        "; ".join(f"{each.own_px:.2f} / {each.exchanged_px:.2f}" for each in sound.pairs),
         f"{worst:+.0f}",
-        max(sound["figures"].trends_px.values()),
+        max(figures.trends_px.values()),
         known.disagreement,
         "none" if best is None else f"{best.own_px:.2f} / {best.exchanged_px:.2f}",
         "none" if best is None else f"{best.evidence:+.0f}",
@@ -109,9 +128,7 @@ def _row(name: str, images: Sequence[str]) -> List[object]:
 
 def own_rpcs() -> List[str]:
     rows = []
-    first, middle, last = _three_lines()
-    scenes = [*sound_scenes(), ("simulated ZY-3, forward and backward", [first, last, middle])]
-    for name, images in few(scenes):
+    for name, images in few(sound_scenes()):
         say(f"{name} ...")
         rows.append(_row(name, images))
     heads = (

@@ -22,7 +22,7 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Dict, Iterator, List, Optional, Tuple
+from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 from osgeo import gdal
 
@@ -31,6 +31,7 @@ sys.path[:] = [str(ROOT), *(path for path in sys.path if path != str(ROOT / "ben
 
 from benchmarks.scenes import SHARED, real  # noqa: E402
 from benchmarks.scoring import difference, heights_of, nmad, scores  # noqa: E402
+from repm_qgis.contracts.results import SampleDataResult  # noqa: E402
 
 NAME, LONG = "Höhen & Straßen, 東京", 260
 _EXTENDED = "\\\\?\\"  # Windows takes more than 260 characters only after these
@@ -61,7 +62,7 @@ def plain(path: str) -> str:
     return _EXTENDED + os.path.abspath(path) if os.name == "nt" else path
 
 
-def engine(stage: str, job: Dict[str, object]) -> Dict[str, object]:
+def engine(stage: str, job: Dict[str, object]) -> Dict[str, Any]:
     """The result of a stage, run as the plugin runs it."""
     done = subprocess.run(
         [sys.executable, "-m", "repm_qgis", stage, "-"],
@@ -91,7 +92,8 @@ def cases(place: str) -> Iterator[Case]:
         for scene in real(name):
             images = taken(list(scene.images), os.path.join(place, name))
             yield Case(name, images, workers, {"resolution": scene.resolution}, scene.reference)
-    images = engine("sampledata", {"folder": os.path.join(place, "demo"), "size": 400})["images"]
+    made = engine("sampledata", {"folder": os.path.join(place, "demo"), "size": 400})
+    images = list(SampleDataResult.from_mapping(made).images)
     yield Case("demo", images, (1, 2, 4), {"tile_size": 256})
 
 

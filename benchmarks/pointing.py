@@ -6,19 +6,21 @@ import os
 import tempfile
 import time
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
-from typing import Dict, List, Sequence, Tuple
+from typing import Any, Dict, List, Sequence, Set, Tuple
 
 import numpy as np
 
 from benchmarks.control_bound import DRAWS, controlled
 from benchmarks.pointing_case import case_of, fitted, pointed, truth_scene
 from benchmarks.poor_scenes import poor_scenes
-from benchmarks.runner import CORES, alone, few, is_quick, pipeline, stage
+from benchmarks.runner import CORES, alone, few, is_quick, pipeline, stage, there
 from benchmarks.scenes import SHARED, absent, real, simulated, zy3
 from benchmarks.scoring import difference, nmad
 from benchmarks.tables import Details, Section, table
+from repm_qgis.contracts.stages import DSMFUSE, EPMFIT, RECONSTRUCT
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.geometry.footprints import bounds_of, footprint, seen_twice
 from repm_qgis.geometry.frames import EnuFrame, projected_from_geodetic, utm_crs
@@ -42,8 +44,8 @@ def truth_urban() -> List[str]:
         for label, options in (("without", {}), ("with gcps.csv", {"gcps": str(scene.folder / "gcps.csv")})):
             with tempfile.TemporaryDirectory() as folder:
                 made = pipeline(scene.images, folder, resolution=scene.resolution, **options)
-                found = score_files(made["output"], scene.reference).metrics
-                facts = SceneFile.load(made["scene"]).pointing
+                found = score_files(made.output, scene.reference).metrics
+                facts = there(SceneFile.load(made.scene).pointing)
             pair, uncertain = facts.pairs[0], facts.height_uncertainty_m
             rejected = f"{len(facts.rejected_gcps)} of {len(facts.gcps)} points rejected"
             height = rejected if uncertain is None else f"{uncertain:.1f} m"
@@ -92,7 +94,7 @@ def known_errors() -> List[str]:
             cells = (f"{np.median(o):.3f} / {o.max():.3f}" for o in observable)
             found_rows.append([label, kind, len(found.tracks), found.adjusted.model, *cells, bar])
             control_rows.append([label, kind, *controlled(case, found, altitude, kind), bar])
-    size = truth_scene("town").spec.size
+    size = truth_scene("town").made.size
     control = (
         "scene | errors | absolute, exact GCPs | absolute, GCPs of 0.3 px | RMS of the draws | bound | right model | "
         "named as wrong (draws) | bar"
@@ -111,19 +113,19 @@ def known_errors() -> List[str]:
     ]
 
 
+def _of_pair(pair: Set[str], tile: Tile) -> Tile:
+    return replace(tile, heights=tuple(record for record in tile.heights if set(record.pair) == pair))
+
+
 def pairwise_dsms(images: Sequence[str], folder: str) -> Dict[Tuple[str, str], str]:
     """One DSM for each pair of views, all from one adjustment."""
-    made = stage("epmfit", images=list(images), workspace=folder)
-    scene = SceneFile.load(stage("reconstruct", scene=made["scene"], output_scene=f"{folder}/all.json")["output_scene"])
+    made = stage(EPMFIT, images=list(images), workspace=folder)
+    scene = SceneFile.load(stage(RECONSTRUCT, scene=made.scene, output_scene=f"{folder}/all.json").output_scene)
     result = {}
     for pair in combinations([view.name for view in scene.views], 2):
-        alone = scene.with_tiles(
-            lambda tile, of=set(pair): replace(tile, heights=tuple(r for r in tile.heights if set(r.pair) == of))
-        )
+        alone = scene.with_tiles(partial(_of_pair, set(pair)))
         name = f"{folder}/{'_'.join(pair)}"
-        result[pair] = stage("dsmfuse", scene=alone.save(f"{name}.json"), output=f"{name}.tif", resolution=0.5)[
-            "output"
-        ]
+        result[pair] = stage(DSMFUSE, scene=alone.save(f"{name}.json"), output=f"{name}.tif", resolution=0.5).output
     return result
 
 
@@ -156,35 +158,28 @@ def triplet() -> List[str]:
 # Cost -------------------------------------------------------------------------------------------------------------
 
 
-def timed_pointing(path: str) -> Dict[str, object]:
-    """Ties and adjustment of a scene with seconds."""
+def timed_pointing(path: str) -> Tuple[int, float, float, float]:
+    """Ties and adjustment of a scene: how many ties, what they leave, px, and seconds by the clock and of the CPU."""
     scene = replace(SceneFile.load(path), refinement="polynomial")
-    wall, before = time.perf_counter(), os.times()
-    found = pointed(scene)
-    wall, after = time.perf_counter() - wall, os.times()
-    pointing = {name: A.tolist() for name, A in found.adjusted.pointing.items()}
-    cpu = sum(after[:4]) - sum(before[:4])
-    return {"wall": wall, "cpu": cpu, "pointing": pointing, "figures": found.figures.to_mapping()}
+    start, before = time.perf_counter(), os.times()
+    figures = pointed(scene).figures
+    wall, after = time.perf_counter() - start, os.times()
+    return figures.count, figures.after_px, wall, sum(after[:4]) - sum(before[:4])
 
 
-def cost(images: Sequence[str]) -> Dict[str, object]:
-    """The same in a process of its own, with MiB of itself and of a worker."""
+def cost(images: Sequence[str]) -> List[object]:
+    """The same in a process of its own, and MiB of itself and its workers."""
     with tempfile.TemporaryDirectory() as folder:
         used = alone(timed_pointing, str(fitted(images, Path(folder) / "w").path))
-    return {**used.result, "own": used.mib, "child": used.child_mib}
-
-
-def cost_row(found: Dict[str, object]) -> List[object]:
-    workers = CORES if found["child"] > 100 else 0
-    memory = f"{found['own'] + workers * found['child']:.0f}"
-    return [found["figures"]["count"], found["figures"]["after_px"], found["wall"], found["cpu"], memory]
+    workers = CORES if used.child_mib > 100 else 0
+    return [*used.result, f"{used.mib + workers * used.child_mib:.0f}"]
 
 
 def costs() -> List[str]:
-    rows = [[scene.name, *cost_row(cost(scene.images)), "6 s, 1024 MiB"] for scene in real("pleiades_triplet")]
+    rows = [[scene.name, *cost(scene.images), "6 s, 1024 MiB"] for scene in real("pleiades_triplet")]
     big = simulated("zy3_800m", zy3(5120, 800.0), 5.0)
-    side = big.spec.size
-    rows.append([f"3 x {side} x {side} (ZY-3 simulated)", *cost_row(cost(big.images)), "30 s, 1024 MiB"])
+    side = big.made.size
+    rows.append([f"3 x {side} x {side} (ZY-3 simulated)", *cost(big.images), "30 s, 1024 MiB"])
     return [
         f"**5. Cost** of ties and adjustment, on {CORES} cores that others used too (load "
         f"{os.getloadavg()[0]:.1f}); memory of the process plus, where there are worker processes, of as many "
@@ -211,7 +206,9 @@ def two_routes() -> List[str]:
         rpc_s = time.process_time() - start
         apart = max(float(np.abs(other.shifts[n] - found.adjusted.shifts[n]).max()) for n in other.shifts)
         with tempfile.TemporaryDirectory() as folder:
-            error = difference(*(route_dsm(case.images, f"{folder}/{route}", route) for route in ("rpc", "colmap")))
+            error = difference(
+                route_dsm(case.images, f"{folder}/rpc", "rpc"), route_dsm(case.images, f"{folder}/colmap", "colmap")
+            )
         left = (f"{case.observable_px(a.pointing).max():.3f}" for a in (found.adjusted, other))
         medians = (float(np.nanmedian(error)), float(np.nanmedian(np.abs(error))))
         rows.append([label, *left, apart, *medians, rpc_s, colmap_s])
@@ -229,10 +226,10 @@ def two_routes() -> List[str]:
 
 
 def route_dsm(images: Sequence[str], folder: str, route: str) -> str:
-    scene = stage("epmfit", images=list(images), workspace=folder)["scene"]
+    scene = stage(EPMFIT, images=list(images), workspace=folder).scene
     options = {"pointing": "shift", "adjustment": route}
-    scene = stage("reconstruct", scene=scene, output_scene=f"{folder}/r.json", **options)["output_scene"]
-    return stage("dsmfuse", scene=scene, output=f"{folder}/dsm.tif", resolution=0.5)["output"]
+    scene = stage(RECONSTRUCT, scene=scene, output_scene=f"{folder}/r.json", **options).output_scene
+    return stage(DSMFUSE, scene=scene, output=f"{folder}/dsm.tif", resolution=0.5).output
 
 
 def scene_of_rpcs(files: Sequence[Path]) -> SceneFile:
@@ -246,8 +243,9 @@ def scene_of_rpcs(files: Sequence[Path]) -> SceneFile:
     lon, lat = (float(np.median([getattr(view.rpc, name) for view in views])) for name in ("lon_off", "lat_off"))
     crs, middle = utm_crs(lon, lat), float(np.median([view.rpc.height_off for view in views]))
     area = seen_twice([[projected_from_geodetic(crs, footprint(v.localise, v.size, middle)) for v in views]])
-    tile = Tile("r000c000", bounds_of(area), (middle - 50, middle + 50), {view.name: None for view in views})
-    return SceneFile(views, EnuFrame(lon, lat), crs, area.ExportToWkt(), tile.altitudes, [tile])
+    seen: Dict[str, Any] = {view.name: None for view in views}  # no camera is asked for
+    tile = Tile("r000c000", bounds_of(area), (middle - 50, middle + 50), seen)
+    return SceneFile(tuple(views), EnuFrame(lon, lat), crs, area.ExportToWkt(), tile.altitudes, (tile,))
 
 
 def pair_selection() -> List[str]:

@@ -13,6 +13,7 @@ from osgeo import gdal
 
 from benchmarks.runner import stage
 from benchmarks.scenes import CACHE, Scene, default
+from repm_qgis.contracts.stages import EPMFIT
 from repm_qgis.geometry.frames import EnuFrame
 from repm_qgis.imagery.enhancement import view_stretch
 from repm_qgis.planning.pair_selection import choose_pairs
@@ -67,7 +68,7 @@ class Case:
 
     def views(self) -> List[View]:
         """The views as the vendor's RPCs have them."""
-        return load_views(tuple(self.images))
+        return list(load_views(self.images))
 
     def scene(self) -> SceneFile:
         return fitted(self.images, self.folder / "w")
@@ -116,8 +117,8 @@ class Case:
 
 def fitted(images: Sequence[str], workspace: Path) -> SceneFile:
     """The scene with cameras, as the pipeline makes it by default."""
-    made = stage("epmfit", images=list(images), workspace=str(workspace))
-    return replace(SceneFile.load(made["scene"]), refinement="polynomial")
+    made = stage(EPMFIT, images=list(images), workspace=str(workspace))
+    return replace(SceneFile.load(made.scene), refinement="polynomial")
 
 
 def pointed(scene: SceneFile, model: str = "auto", parameters: PointingParameters = POINTING) -> Pointing:
@@ -137,8 +138,8 @@ def known_pointings(kind: str, size: int) -> List[np.ndarray]:
         return pointings
     middle = (size - 1) / 2
     drifts = [[3.0, -1.5], [1.0, 2.0]], [[-2.0, 3.0], [-3.0, 1.0]], [[1.5, -2.5], [3.0, -3.0]]
-    for A, linear in zip(pointings, drifts):
-        linear = np.array(linear) / size
+    for A, drift in zip(pointings, drifts):
+        linear = np.array(drift) / size
         A[:, :2] += linear
         A[:, 2] -= linear @ [middle, middle]
     return pointings
@@ -152,5 +153,5 @@ def truth_scene(label: str) -> Scene:
 def case_of(label: str, kind: str = "shift") -> Case:
     """The town or the hills with known pointings."""
     scene = truth_scene(label)
-    pointings = known_pointings(kind, scene.spec.size)
-    return Case((scene.spec, scene.folder), pointings, CACHE / f"{scene.name}_{kind}")
+    pointings = known_pointings(kind, scene.made.size)
+    return Case((scene.made, scene.folder), pointings, CACHE / f"{scene.name}_{kind}")

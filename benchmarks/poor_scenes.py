@@ -22,7 +22,7 @@ from repm_qgis.simulation.surface import SimulatedSurface, Sun
 Made = Tuple[Case, List[str]]
 
 
-def cloud_texture(shape: Tuple[int, int], seed: int) -> np.ndarray:
+def cloud_texture(shape: Tuple[int, ...], seed: int) -> np.ndarray:
     """Bright fractal texture, 0..1."""
     rng = np.random.default_rng(seed)
     total = np.zeros(shape)

@@ -5,23 +5,21 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
-from typing import Callable, Dict, Sequence, Tuple
+from typing import Any, Callable, Dict, Sequence, Tuple
 
 from benchmarks.runner import CORES, ROOT, Cost, Failed, measured
 
 QGIS = str(ROOT / "scripts" / "qgis-headless")
 
 
-def repm(
-    images: Sequence[str], resolution: float, folder: Path, **options: object
-) -> Tuple[str, Cost, Dict[str, object]]:
+def repm(images: Sequence[str], resolution: float, folder: Path, **options: object) -> Tuple[str, Cost, Dict[str, Any]]:
     """Ours through ``scripts/qgis-headless``: the DSM, the cost, and the algorithm's other results."""
     folder.mkdir(parents=True, exist_ok=True)
     dsm = folder / "dsm.tif"
     values = {"RESOLUTION": resolution, "OUTPUT": dsm, "WORKSPACE": folder / "w", **options}
     words = [f"IMAGES={image}" for image in images] + [f"{name}={value}" for name, value in values.items()]
     text, cost = measured([QGIS, "--json", "run", "repm:pipeline", "--", *words])
-    return str(dsm), cost, json.loads(text).get("results", {})
+    return str(dsm), cost, json.loads(text)["results"]
 
 
 def peer(name: str, images: Sequence[str], resolution: float, folder: Path) -> Tuple[str, Cost]:

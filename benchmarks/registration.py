@@ -17,10 +17,12 @@ from osgeo import gdal
 from scipy import ndimage
 
 from benchmarks.corrected_rpcs import corrected_rpcs
-from benchmarks.runner import ROOT, Cost, few, is_quick, measured, pipeline, stage
+from benchmarks.runner import ROOT, Cost, few, is_quick, measured, pipeline, stage, there
 from benchmarks.scenes import CACHE, SHARED, Scene, absent, quick_size, real, simulated, zy3
 from benchmarks.scoring import difference
 from benchmarks.tables import Section, table
+from repm_qgis.contracts.arrays import Bounds
+from repm_qgis.contracts.stages import DSMFUSE, REGISTER
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.fusion.own_surface import own_surface
 from repm_qgis.geometry.cell_grid import CellGrid
@@ -108,7 +110,7 @@ def case_of(name: str) -> Case:
     return Case(scene, truth, place, np.array([aligned.dx, aligned.dy, aligned.dz]), prior)
 
 
-def _correlated(rng: np.random.Generator, shape: Tuple[int, int], metres: float, cells: float) -> np.ndarray:
+def _correlated(rng: np.random.Generator, shape: Tuple[int, ...], metres: float, cells: float) -> np.ndarray:
     found = ndimage.gaussian_filter(rng.normal(size=shape), cells, mode="wrap")
     return found / found.std() * metres
 
@@ -133,7 +135,7 @@ def lasers(case: Case, rng: np.random.Generator) -> FoundHeights:
     x = x0 + (track * columns + 0.08 * along * rows) % columns * step
     y = y0 - along * rows * step
     disc = Reference("", np.empty((0, 3)), (12.0, 12.0), True)
-    means = SupportMeans(CellGrid(x0, y0, step, case.truth.shape), case.truth, disc, 0.99)
+    means = SupportMeans(CellGrid(x0, y0, step, (rows, columns)), case.truth, disc, 0.99)
     height = means.at(x, y)[0] + rng.normal(size=2000) * 0.2
     known = np.isfinite(height)
     return FoundHeights("lasers", np.column_stack([x, y])[known], height[known], (12.0, 12.0), True)
@@ -221,7 +223,7 @@ def town() -> List[str]:
             for label, more in (("as delivered", {}), ("registered", {"reference": [str(truth)]})):
                 made = pipeline(images, f"{place}/{label}", resolution=0.5, **more)
                 for how in ("none", "3d"):
-                    found = score_files(made["output"], str(truth), how)
+                    found = score_files(made.output, str(truth), how)
                     aligned = "3-D aligned" if how == "3d" else ""
                     share = dict(found.metrics.completeness)[1.0]
                     rows.append([" + ".join(views), label, aligned, share, found.metrics.rmse, found.metrics.bias])
@@ -243,8 +245,8 @@ def against_s2p() -> List[str]:
             )
             more = {"reference": [coarse], "reference_datum": "ellipsoid"}
             made = pipeline(scene.images, folder, resolution=scene.resolution, **more)
-            left = score_files(made["output"], scene.reference, "3d").alignment
-            figures = SceneFile.load(made["scene"]).registration
+            left = score_files(made.output, scene.reference, "3d").alignment
+            figures = there(SceneFile.load(made.scene).registration)
             horizontal = float(np.hypot(*figures.deviation[:2]))
             told = len(figures.determined)
             rows.append([scene.name, np.hypot(left.dx, left.dy), left.dz, horizontal, figures.deviation[2], told])
@@ -260,8 +262,8 @@ def against_s2p() -> List[str]:
     ]
 
 
-def _register(scene: str, reference: str, output: str) -> Dict[str, object]:
-    return stage("register", scene=scene, reference=[reference], reference_datum="ellipsoid", output_scene=output)
+def _register(scene: str, reference: str, output: str) -> None:
+    stage(REGISTER, scene=scene, reference=[reference], reference_datum="ellipsoid", output_scene=output)
 
 
 def _cost(name: str, options: Dict[str, object], folder: str) -> Cost:
@@ -327,7 +329,7 @@ def strips() -> List[str]:
             place = rng.uniform(-1.0, 1.0, 3) * (8.0, 8.0, 8.0)
             wrong = _moved_truth(case, place, f"{folder}/wrong_{number}.tif")
             scenes.append(f"{folder}/{number}/w/wrong.json")
-            _register(made["scene"], wrong, scenes[-1])
+            _register(made.scene, wrong, scenes[-1])
         coarse = f"{folder}/dem.tif"
         _noisy_dem(case, coarse)
         for label, more in (
@@ -338,17 +340,17 @@ def strips() -> List[str]:
         ):
             paths = list(scenes)
             if more is not None and "others" in more:
-                made = stage("register", scene=scenes[0], output_scene=f"{folder}/first.json", **_DATUM, **more)
-                paths = [made["output_scene"], *made["other_scenes"]]
+                first = stage(REGISTER, scene=scenes[0], output_scene=f"{folder}/first.json", **_DATUM, **more)
+                paths = [first.output_scene, *first.other_scenes]
             elif more is not None:
                 outputs = [f"{folder}/alone_{number}.json" for number in range(len(scenes))]
                 paths = [
-                    stage("register", scene=scene, output_scene=output, **_DATUM, **more)["output_scene"]
+                    stage(REGISTER, scene=scene, output_scene=output, **_DATUM, **more).output_scene
                     for scene, output in zip(scenes, outputs)
                 ]
             dsms = [f"{folder}/{label.replace(' ', '_')}_{number}.tif" for number in range(len(paths))]
             for path, dsm in zip(paths, dsms):
-                stage("dsmfuse", scene=path, output=dsm, resolution=case.place[1])
+                stage(DSMFUSE, scene=path, output=dsm, resolution=case.place[1])
             seams = [difference(a, b, case.place[1]) for i, a in enumerate(dsms) for b in dsms[i + 1 :]]
             apart = np.concatenate([seam[np.isfinite(seam)] for seam in seams])
             rows.append([label, float(np.median(np.abs(apart))), float(np.abs([np.nanmedian(s) for s in seams]).max())])
@@ -362,7 +364,7 @@ def strips() -> List[str]:
 _DATUM = {"reference_datum": "ellipsoid"}
 
 
-def _boxes(scene: SceneFile) -> List[object]:
+def _boxes(scene: SceneFile) -> List[Bounds]:
     return [tile.bounds for tile in scene.tiles]
 
 

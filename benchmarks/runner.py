@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
 import time
 from dataclasses import dataclass
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple, TypeVar
+from typing import IO, Any, Callable, Dict, Iterable, List, Optional, Sequence, Tuple, TypeVar, Union
 
+from repm_qgis.contracts.results import PipelineResult
+from repm_qgis.contracts.stages import PIPELINE, R, Stage
 from repm_qgis.runtime.parallel import cores
 from repm_qgis.runtime.process_limits import bound_cache
 from repm_qgis.runtime.progress import Progress, Silent
@@ -34,9 +38,9 @@ def is_quick() -> bool:
     return _settings["quick"]
 
 
-def few(items: Sequence[Item]) -> Sequence[Item]:
-    """The cases of a benchmark: all, or the first of a quick run."""
-    return items[:1] if is_quick() else items
+def few(items: Iterable[Item]) -> List[Item]:
+    """The cases of a benchmark: all, or the first of a quick run, before which none of the others is made."""
+    return list(islice(items, 1 if is_quick() else None))
 
 
 def say(text: object) -> None:
@@ -60,23 +64,31 @@ def earlier(revision: str, folder: Path) -> Optional[Path]:
 # In this process --------------------------------------------------------------------------------------------------
 
 
+def there(value: Optional[Item], what: str = "what was asked for") -> Item:
+    """A value that must be there; raises Failed where it is None."""
+    if value is None:
+        raise Failed(f"{what} is not there")
+    return value
+
+
 def stage(
-    name: str, progress: Progress = Silent(), parameters: Optional[EngineParameters] = None, **options: object
-) -> Dict[str, object]:
-    """A stage's results; ``parameters`` are for the stages that take them."""
-    return run_stage(name, options, progress, parameters)
+    of: Stage[R], progress: Progress = Silent(), parameters: Optional[EngineParameters] = None, /, **options: object
+) -> R:
+    """A stage's result; ``parameters`` are for the stages that take them."""
+    return run_stage(of, options, progress, parameters)
 
 
 def pipeline(
     images: Sequence[str],
-    folder: Any,
+    folder: Union[str, Path],
     progress: Progress = Silent(),
     parameters: EngineParameters = ENGINE,
+    /,
     **options: object,
-) -> Dict[str, object]:
-    """The pipeline's results; the workspace is ``w`` and the DSM ``dsm.tif`` in a folder."""
+) -> PipelineResult:
+    """The pipeline's result; the workspace is ``w`` and the DSM ``dsm.tif`` in a folder."""
     made = {"images": list(images), "workspace": f"{folder}/w", "output": f"{folder}/dsm.tif", **options}
-    return run_stage("pipeline", made, progress, parameters)
+    return run_stage(PIPELINE, made, progress, parameters)
 
 
 # In a process of its own ------------------------------------------------------------------------------------------
@@ -143,20 +155,27 @@ def measured(
     """
     before, start = os.times(), time.monotonic()
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    process = subprocess.Popen(command, **pipes, text=True, cwd=folder, env=environment, start_new_session=True)
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(
+        command, stdout=pipe, stderr=pipe, text=True, cwd=folder, env=environment, start_new_session=True
+    )
     printed: List[str] = ["", ""]
 
-    def listen(number: int, stream: object) -> None:
+    def listen(number: int, stream: IO[str]) -> None:
         printed[number] = stream.read()
 
-    readers = [threading.Thread(target=listen, args=(i, s)) for i, s in enumerate((process.stdout, process.stderr))]
+    streams = there(process.stdout), there(process.stderr)
+    readers = [threading.Thread(target=listen, args=(number, stream)) for number, stream in enumerate(streams)]
     for reader in readers:
         reader.start()
     peak = 0.0
-    while process.poll() is None:
-        peak = max(peak, (memory_gib or tree_gib)(process.pid))
-        time.sleep(0.1)
+    try:
+        while process.poll() is None:
+            peak = max(peak, (memory_gib or tree_gib)(process.pid))
+            time.sleep(0.1)
+    finally:
+        if process.poll() is None:  # this process is interrupted
+            os.killpg(process.pid, signal.SIGKILL)
     for reader in readers:
         reader.join()
     after = os.times()

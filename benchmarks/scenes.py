@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Callable, List, Optional, Sequence
 
-from benchmarks.runner import ROOT, is_quick, say
+from benchmarks.runner import ROOT, is_quick, say, there
 from repm_qgis.runtime.progress import Silent
+from repm_qgis.simulation.parameters import SIMULATION, SimulationParameters
 from repm_qgis.simulation.scene import SceneSpec, make_scene
 from repm_qgis.simulation.sensor import ZY3
 
@@ -34,6 +35,11 @@ class Scene:
     spec: Optional[SceneSpec] = None  # of a simulated scene
 
     @property
+    def made(self) -> SceneSpec:
+        """What it was simulated from; raises Failed where it is real."""
+        return there(self.spec, f"the simulation of {self.name}")
+
+    @property
     def folder(self) -> Path:
         return Path(self.reference).parent
 
@@ -52,11 +58,17 @@ def quick_size(px: int, sensor: str = "PLEIADES") -> int:
     return min(px, _QUICK_PX[sensor]) if is_quick() else px
 
 
+def simulation() -> SimulationParameters:
+    """Those of the engine; quick images have one ray for each pixel, which takes half of the time."""
+    one_ray = replace(SIMULATION, render=replace(SIMULATION.render, oversample=1))
+    return one_ray if is_quick() else SIMULATION
+
+
 def simulated(name: str, spec: SceneSpec, resolution: float = 0.5) -> Scene:
     """A truth scene, in the cache under a name and its size."""
     spec = replace(spec, size=quick_size(spec.size, spec.sensor.name))
-    folder = CACHE / f"{name}_{spec.size}"
-    made_once(folder, lambda: make_scene(spec, str(folder), Silent()))
+    folder = CACHE / f"{name}_{spec.size}{'_quick' * is_quick()}"
+    made_once(folder, lambda: make_scene(spec, str(folder), Silent(), simulation()))
     images = [str(folder / f"img_{i:02d}.tif") for i in range(1, len(spec.sensor.looks) + 1)]
     return Scene(folder.name, images, str(folder / "truth.tif"), resolution, True, spec)
 
@@ -89,9 +101,15 @@ def real(*names: str) -> List[Scene]:
     for name in names or _REAL:
         count, reference, align = _REAL[name]
         images = [str(SHARED / name / f"img_{i:02d}.tif") for i in range(1, count + 1)]
-        if all(os.path.exists(path) for path in (*images, SHARED / name / reference)):
+        if all(os.path.exists(path) for path in (*map(Path, images), SHARED / name / reference)):
             found.append(Scene(name, images, str(SHARED / name / reference), 0.5, align))
     return found
+
+
+def real_or_town(*names: str) -> List[Scene]:
+    """The real scenes of these names that are there; where none is, a simulated town that says so in its name."""
+    town = default("urban", 800, 1) if not real(*names) else None
+    return [replace(town, name="simulated town (real images are absent)")] if town else real(*names)
 
 
 def whu_tlc() -> List[Scene]:
@@ -100,7 +118,7 @@ def whu_tlc() -> List[Scene]:
     for block in ("0066", "0067", "0072", "0073"):
         images = [str(folder / f"block{block}_view{number}.tif") for number in range(3)]
         reference = str(folder / f"truth_{block}.tif")
-        if all(map(os.path.exists, (*images, reference))):
+        if all(os.path.exists(path) for path in (*images, reference)):
             found.append(Scene(f"whu_tlc {block}", images, reference, 5.0, True))
     return found
 

@@ -7,9 +7,9 @@ from typing import Tuple
 import numpy as np
 from osgeo import gdal
 
-from repm_qgis.evaluation import metrics
 from repm_qgis.evaluation.metrics import HeightMetrics
 from repm_qgis.evaluation.scoring import score_files
+from repm_qgis.numerics import robust
 
 
 def scores(dsm: str, truth: str, align: bool) -> HeightMetrics:
@@ -27,7 +27,7 @@ def shares(found: HeightMetrics) -> Tuple[float, ...]:
 
 
 def nmad(error: np.ndarray) -> float:
-    return metrics.nmad(error[np.isfinite(error)])
+    return robust.nmad(error[np.isfinite(error)])
 
 
 def heights_of(dataset: gdal.Dataset) -> np.ndarray:

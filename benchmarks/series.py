@@ -9,8 +9,9 @@ from typing import Dict, List, Sequence
 import numpy as np
 import pyproj
 
-from benchmarks.runner import alone, few, say, stage
+from benchmarks.runner import alone, few, say, stage, there
 from benchmarks.tables import Section, table
+from repm_qgis.contracts.stages import SERIES
 from repm_qgis.imagery import raster
 from repm_qgis.numerics.robust import nmad
 
@@ -90,9 +91,9 @@ def written(case: Case, folder: str) -> Dict[str, object]:
     return {"dsms": paths, "dates": days, "table": f"{folder}/table.csv", **names}
 
 
-def follow(options: Dict[str, object]) -> Dict[str, object]:
-    """What the stage says of a run with these options."""
-    return stage("series", **options)
+def follow(options: Dict[str, object]) -> None:
+    """A run of the stage with these options."""
+    stage(SERIES, **options)
 
 
 def _bands(path: str) -> List[np.ndarray]:
@@ -104,8 +105,8 @@ def scored(case: Case) -> List[object]:
     """A case's row."""
     with tempfile.TemporaryDirectory() as folder:
         options = written(case, folder)
-        result = follow(options)
-        trend, changed, stack = (_bands(options[name]) for name in ("trend", "changed", "output"))
+        result = stage(SERIES, **options)
+        trend, changed, stack = (_bands(there(path)) for path in (result.trend, result.changed, result.output))
     dome, pit = _dome(case.side), _pit(case.side)
     inside = (dome > 0.05) & np.isfinite(trend[0])
     away = (trend[0] - case.rate * dome)[inside]
@@ -123,7 +124,7 @@ def scored(case: Case) -> List[object]:
     row = [case.name, nmad(away, 0.0), nmad(squares - case.rate * dome[inside], 0.0), 100 * share, 100 * covered]
     say(row)
     sigma = np.array([case.sigma[date % len(case.sigma)] for date in range(case.dates)])
-    worst = 100 * np.max(np.abs(np.array(result["errors_m"]) / sigma - 1))
+    worst = 100 * np.max(np.abs(np.array(result.errors_m) / sigma - 1))
     return [*row, 100 * right[0], 100 * right[1], worst]
 
 

@@ -200,7 +200,7 @@ def shells(path: str) -> Dict[str, object]:
     with open(path, encoding="utf-8") as stream:
         city = json.load(stream)
     corners = np.array(city["vertices"], np.float64) * city["transform"]["scale"]
-    found = {"solids": 0, "closed": 0, "oriented": 0, "apart": 0}
+    found: Dict[str, Any] = {"solids": 0, "closed": 0, "oriented": 0, "apart": 0}
     for each in city["CityObjects"].values():
         for solid in each["geometry"]:
             triangles = [

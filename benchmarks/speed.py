@@ -9,12 +9,12 @@ import json
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Dict, Iterator, List, Optional, Sequence, Tuple
+from typing import Dict, Iterator, List, Tuple
 
 import numpy as np
 
 from benchmarks import towns
-from benchmarks.runner import CORES, ROOT, Cost, earlier, is_quick, made_by, say
+from benchmarks.runner import CORES, ROOT, Cost, Failed, earlier, is_quick, made_by, say
 from benchmarks.scenes import Scene, absent, default, real, simulated, whu_tlc, zy3
 from benchmarks.tables import Details, Section, table
 
@@ -61,14 +61,13 @@ def _turn(work: Work, tree: Path) -> Tuple[Cost, Dict[str, float]]:
     return cost, seconds
 
 
-def _timed(work: Work, before: Optional[Path]) -> Tuple[List[object], List[object]]:
+def _timed(work: Work, before: Path) -> Tuple[List[object], List[object]]:
     """Rows of the two tables: medians of the turns, and ratios turn by turn."""
     turns: List[Tuple[Cost, ...]] = []
     stages: List[Dict[str, float]] = []
     for turn in range(1 if is_quick() else TURNS):
         say(f"{work.name}, turn {turn + 1} ...")
-        trees = [ROOT] if before is None else [ROOT, before]
-        found = [_turn(work, tree) for tree in trees]
+        found = [_turn(work, tree) for tree in (ROOT, before)]
         turns.append(tuple(cost for cost, _ in found))
         stages.append(found[0][1])
     figures = np.array([[(c.cpu_s, c.wall_s, c.peak_gib) for c in turn] for turn in turns])
@@ -76,7 +75,7 @@ def _timed(work: Work, before: Optional[Path]) -> Tuple[List[object], List[objec
     row: List[object] = [work.name]
     for number in range(3):
         row += [float(engine[number]) for engine in middle[::-1]]
-        if before is not None and number < 2:
+        if number < 2:
             row.append(float(np.median(figures[:, 0, number] / figures[:, 1, number])))
     matching = float(np.median([part.get("reconstruct", 0.0) for part in stages]))
     fitting = float(np.median([part.get("epmfit", 0.0) + part.get("refine", 0.0) for part in stages]))
@@ -88,20 +87,18 @@ def cost() -> List[str]:
     rows, parts = [], []
     with tempfile.TemporaryDirectory() as place:
         before = earlier(BEFORE, Path(place))
+        if before is None:
+            raise Failed(f"there is nothing to compare with: the revision {BEFORE} is not here (a shallow clone?)")
         for work in works():
             row, part = _timed(work, before)
             rows.append(row)
             parts.append(part)
-    if before is None:
-        heads: Sequence[str] = ("work", "CPU, s", "wall, s", "peak, GiB")
-    else:
-        heads = ("work", f"CPU, s: {BEFORE}", "now", "ratio", f"wall, s: {BEFORE}", "now", "ratio")
-        heads = (*heads, f"peak, GiB: {BEFORE}", "now")
+    heads = ("work", f"CPU, s: {BEFORE}", "now", "ratio", f"wall, s: {BEFORE}", "now", "ratio")
     return [
         f"`python -m repm_qgis pipeline` with default settings as a process, its start included, on {CORES} cores; one "
         f"worker where nothing else is said. The engine now and that of {BEFORE} run in turn; medians of "
         f"{1 if is_quick() else TURNS} turns, ratios turn by turn.",
-        table(heads, rows),
+        table([*heads, f"peak, GiB: {BEFORE}", "now"], rows),
         Details("Seconds by the clock of the stages now; *the rest* is fusion, reports, and the start."),
         Details(table("work | camera models | tie points and matching | the rest", parts)),
         *absent("pleiades_pair", "pleiades_triplet"),

@@ -18,6 +18,7 @@ from benchmarks.runner import few, pipeline, stage
 from benchmarks.scenes import Scene, default, simulated, zy3_fine
 from benchmarks.tables import Section, table
 from repm_qgis.contracts.arrays import Window
+from repm_qgis.contracts.stages import COMPAREDSM
 from repm_qgis.imagery.raster import opened, read
 from repm_qgis.imagery.warping import sample_array
 from repm_qgis.matching import sgm
@@ -47,10 +48,10 @@ STARTS: Sequence[Tuple[str, bool, SubpixelParameters]] = (
 
 def moved_truth(dsm: str, truth: str) -> Tuple[np.ndarray, Place]:
     """The true heights and their place as the scene's pointing, which has no ground control, sees them."""
-    found = stage("comparedsm", dsm=dsm, reference=truth, align="3d")
+    found = stage(COMPAREDSM, dsm=dsm, reference=truth, align="3d")
     with opened(truth) as raster:
         west, cell, _, north, _, _ = raster.GetGeoTransform()
-        return read(raster) - np.float32(found["dz"]), (west - found["dx"], north - found["dy"], cell)
+        return read(raster) - np.float32(found.dz), (west - found.dx, north - found.dy, cell)
 
 
 def true_disparities(geometry: PairGeometry, size: Tuple[int, int], truth: np.ndarray, place: Place) -> np.ndarray:
@@ -70,7 +71,7 @@ def true_disparities(geometry: PairGeometry, size: Tuple[int, int], truth: np.nd
         meets, before = meets | now, above
     disparity = np.full(size[::-1], float(np.mean(geometry.disparities)))
     for _ in range(8):
-        ends = [geometry.height.on_grid(columns, rows, disparity + d) for d in (-1, 0, 1)]
+        ends = [geometry.height.on_grid(columns, rows, disparity + d) for d in (-1.0, 0.0, 1.0)]
         disparity = disparity - (ends[1] - height) / ((ends[2] - ends[0]) / 2)
     return disparity
 
@@ -122,9 +123,9 @@ class Case(MatchedPair):
 def cases(name: str, scene: Scene) -> Iterator[Tuple[str, Case]]:
     with tempfile.TemporaryDirectory() as folder:
         made = pipeline(scene.images, folder, tile_size=2000)
-        truth, place = moved_truth(made["output"], scene.reference)
+        truth, place = moved_truth(made.output, scene.reference)
         for views in few(((0, 1), (0, 2))):
-            case = Case(SceneFile.load(made["scene"]), views, truth, place)
+            case = Case(SceneFile.load(made.scene), views, truth, place)
             yield f"{name}, views {views[0] + 1} and {views[1] + 1}", case
 
 

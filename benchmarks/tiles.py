@@ -12,6 +12,7 @@ import pyproj
 
 from benchmarks.runner import alone, few, say, stage
 from benchmarks.tables import Section, table
+from repm_qgis.contracts.stages import TILES3D
 from repm_qgis.imagery.raster import RasterFrame, created
 from repm_qgis.solids.point_cloud import created_cloud
 
@@ -43,8 +44,8 @@ def _surface(folder: str, side: int) -> str:
     return path
 
 
-def _tiled(folder: str, dsm: str) -> Dict[str, object]:
-    return stage("tiles3d", dsm=dsm, tiles3d=f"{folder}/tiles")
+def _tiled(folder: str, dsm: str) -> None:
+    stage(TILES3D, dsm=dsm, tiles3d=f"{folder}/tiles")
 
 
 def _listed(folder: Path) -> int:

@@ -11,7 +11,7 @@ import os
 import tempfile
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Dict, List, Sequence, Tuple
+from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 from scipy import ndimage
@@ -22,10 +22,12 @@ from benchmarks.simulated.dates import WORLDVIEW3_JACKSONVILLE, DatedSpec, make_
 from benchmarks.simulated.parameters import DATED, REAL, EffectParameters
 from benchmarks.tables import Section, table
 from repm_qgis.contracts.options import QUALITIES
+from repm_qgis.contracts.stages import DSMFUSE
 from repm_qgis.evaluation import coregistration
-from repm_qgis.evaluation.grids import Grid, HeightWarper, read_heights
+from repm_qgis.evaluation.grids import Grid, HeightWarper
 from repm_qgis.evaluation.metrics import THRESHOLDS_M, height_metrics
 from repm_qgis.evaluation.scoring import score_files
+from repm_qgis.imagery.heights import read_heights
 from repm_qgis.imagery.raster import opened, read
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.stages.parameters import ENGINE
@@ -108,9 +110,7 @@ def _rows(label: str, names: Sequence[str]) -> List[List[object]]:
     images = _images(names)
     with tempfile.TemporaryDirectory() as folder:
         dsm, cost = _made(images, folder)
-        full = stage("dsmfuse", scene=f"{folder}/w/reconstructed.json", output=f"{folder}/full.tif", fill="all")[
-            "output"
-        ]
+        full = stage(DSMFUSE, scene=f"{folder}/w/reconstructed.json", output=f"{folder}/full.tif", fill="all").output
         return [[label, "", *_scores(dsm, _LIDAR), cost], [label, "FILL = all", *_scores(full, _LIDAR), ""]]
 
 
@@ -205,7 +205,8 @@ def limits() -> List[str]:
     lost, names = _mid_air(truth, cell), _names()
     sets = {"19 images": names, "dates 1, 3, 5, ...": names[::2], "dates 2, 4, 6, ...": names[1::2]}
     rows = [[label, *_c1_mae_rmse(ideal - truth)] for label, ideal in _ideal(truth, cell).items()]
-    errors, spread = {}, []
+    errors: Dict[str, np.ndarray] = {}
+    spread: List[List[float]] = []
     for label, chosen in sets.items():
         say(f"limits, {label} ...")
         with tempfile.TemporaryDirectory() as folder:
@@ -240,7 +241,7 @@ def _run(names: Sequence[str], contrast: float) -> List[float]:
     ties = replace(TIES, keypoints=replace(TIES.keypoints, contrast=contrast))
     pointing = replace(ENGINE.pointing, ties=ties)
     with tempfile.TemporaryDirectory() as folder:
-        dsm = pipeline(_images(names), folder, parameters=replace(ENGINE, pointing=pointing), resolution=0.5)["output"]
+        dsm = pipeline(_images(names), folder, Silent(), replace(ENGINE, pointing=pointing), resolution=0.5).output
         return _c1_mae_rmse(score_files(dsm, _LIDAR.heights, "3d").error)
 
 
@@ -296,7 +297,7 @@ def quality() -> List[str]:
 BEFORE = os.environ.get("REPM_BENCH_TOWNS_BEFORE", "8cf13de")
 _SIMULATED_SETS = {"2": (0, 1), "3, January": (7, 8, 9), "6": range(6), "12": range(12)}
 _OFF = EffectParameters()
-_WITHOUT: Dict[str, Dict[str, object]] = {
+_WITHOUT: Dict[str, Dict[str, Any]] = {
     "all effects": {},
     "one sun": {"moving_sun": False},
     "crisp shadows": {"sun_disc_deg": _OFF.sun_disc_deg},
@@ -310,7 +311,7 @@ _WITHOUT: Dict[str, Dict[str, object]] = {
 }
 
 
-def _simulated_scene(name: str, dates: int, changes: Dict[str, object]) -> Path:
+def _simulated_scene(name: str, dates: int, changes: Dict[str, Any]) -> Path:
     """The folder of the simulated town of the first dates, with the real effects but for changes.
 
     Only scenes of equally many dates show the same town.

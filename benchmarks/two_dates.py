@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Dict, List, Sequence, Tuple
 
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike
 from osgeo import ogr
 
 from benchmarks.runner import is_quick, pipeline
-from benchmarks.scenes import CACHE, made_once
+from benchmarks.scenes import CACHE, made_once, simulation
 from repm_qgis.contracts.arrays import FloatImage, IntArray, Mask
 from repm_qgis.files.vector import write_layer
 from repm_qgis.runtime.progress import Silent
@@ -109,6 +110,16 @@ class RecordedTown(Town):
 
 
 @dataclass(frozen=True)
+class Change:
+    """A building that changed: what became of it, its outline as WKT, its area (m2) and volume (m3)."""
+
+    kind: str
+    outline: str
+    area: float
+    volume: float
+
+
+@dataclass(frozen=True)
 class Dates:
     """Paths of what was made: DSMs and confidences by the names of ``DSMS``, true surfaces, and the true changes."""
 
@@ -124,9 +135,8 @@ class Dates:
         return str(self.folder / f"truth_{date}.tif")
 
     @property
-    def changes(self) -> List[Dict[str, object]]:
-        """The buildings: kind, outline as WKT, area (m2) and volume (m3)."""
-        return list(json.loads((self.folder / "changes.json").read_text(encoding="utf-8")))
+    def changes(self) -> List[Change]:
+        return [Change(**each) for each in json.loads((self.folder / "changes.json").read_text(encoding="utf-8"))]
 
 
 def spec_of(size: int, seed: int, date: int) -> SceneSpec:
@@ -137,12 +147,17 @@ def spec_of(size: int, seed: int, date: int) -> SceneSpec:
 
 def dates(size: int, seed: int) -> Dates:
     """The town with its DSMs, in the cache under its seed and size."""
-    size = 400 if is_quick() else size
-    folder = CACHE / f"dates_{seed}_{size}"
-    images = made_once(folder, lambda: _simulate(folder, size, seed))
-    for name, (date, numbers) in DSMS.items():
+    folder = images = images_of(size, seed)
+    for name, (date, numbers) in islice(DSMS.items(), 2 if is_quick() else None):
         made_once(folder / name, lambda: _reconstruct(images, folder / name, date, numbers))  # noqa: B023 - runs now
     return Dates(folder)
+
+
+def images_of(size: int, seed: int) -> Path:
+    """The folder of the town's images, in the cache."""
+    size = 400 if is_quick() else size
+    folder = CACHE / f"dates_{seed}_{size}"
+    return made_once(folder, lambda: _simulate(folder, size, seed))
 
 
 def _reconstruct(images: Path, folder: Path, date: int, numbers: Sequence[int]) -> None:
@@ -175,7 +190,15 @@ def _simulate(folder: Path, size: int, seed: int) -> None:
         biases = pointing_errors(len(fits), seed + 50 * date)
         for number, (view, fit, bias) in enumerate(zip(views[date], fits, biases), start=1):
             path = str(folder / f"date_{date}_{number}.tif")
-            write_image(path, view, fit.rpc.shifted(-bias[0], -bias[1]), surface, seed + 31 * date + number, Silent())
+            write_image(
+                path,
+                view,
+                fit.rpc.shifted(-bias[0], -bias[1]),
+                surface,
+                seed + 31 * date + number,
+                Silent(),
+                simulation(),
+            )
         square = common_square(surface, views[date], spec.surface_step, SIMULATION.control)
         write_truth(str(folder / f"truth_{date}.tif"), surface, square, spec.surface_step)
     _write_changes(folder, spec.crs, ground, chosen, heights)
@@ -190,11 +213,10 @@ def _write_changes(
         outline = _outline(each, ground)
         m2 = float(each.inside.sum() * ground.cell**2)
         volume = float(difference.sum(dtype=float) * ground.cell**2)
-        found.append({"kind": kind, "outline": outline, "area": m2, "volume": volume})
-    (folder / "changes.json").write_text(json.dumps(found), encoding="utf-8")
-    rows = [(ogr.CreateGeometryFromWkt(each["outline"]), list(each.values())[::2]) for each in found]
+        found.append(Change(kind, outline, m2, volume))
+    (folder / "changes.json").write_text(json.dumps([vars(each) for each in found]), encoding="utf-8")
     fields = {"kind": str, "area": float, "volume": float}
-    features = [(shape, [each["kind"], each["area"], each["volume"]]) for (shape, _), each in zip(rows, found)]
+    features = [(ogr.CreateGeometryFromWkt(each.outline), [each.kind, each.area, each.volume]) for each in found]
     write_layer(str(folder / "changes.gpkg"), crs, ogr.wkbPolygon, fields, features)
 
 

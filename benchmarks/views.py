@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import replace
-from typing import Callable, Dict, List, Sequence, Tuple
+from typing import Callable, List, Sequence, Tuple
 
 import numpy as np
 
 from benchmarks.runner import few, pipeline, say, stage
 from benchmarks.scenes import Scene, default, simulated, zy3_fine
 from benchmarks.tables import Section, table
+from repm_qgis.contracts.results import CompareDsmResult
+from repm_qgis.contracts.stages import COMPAREDSM, DSMFUSE
 from repm_qgis.imagery.raster import opened, read
 from repm_qgis.scene import Scene as SceneFile
 from repm_qgis.simulation.scene import SceneSpec
@@ -30,15 +32,17 @@ SCENES: Sequence[Tuple[str, Callable[[], Scene]]] = (
 )
 
 
-def scored(scene: SceneFile, pairs: Sequence[Tuple[str, str]], truth: str, folder: str) -> Dict[str, object]:
-    """Fuse the height maps of some pairs of a scene, and compare."""
+def scored(
+    scene: SceneFile, pairs: Sequence[Tuple[str, str]], truth: str, folder: str
+) -> Tuple[CompareDsmResult, np.ndarray]:
+    """Fuse the height maps of some pairs of a scene, and compare: the figures, and the errors of all cells."""
     scene = scene.with_tiles(lambda tile: replace(tile, heights=tuple(r for r in tile.heights if r.pair in pairs)))
     path = scene.save(f"{folder}/chosen.json")
     error = f"{folder}/error.tif"
-    dsm = stage("dsmfuse", scene=path, output=f"{folder}/dsm.tif")["output"]
-    found = stage("comparedsm", dsm=dsm, reference=truth, align="3d", error=error)
+    dsm = stage(DSMFUSE, scene=path, output=f"{folder}/dsm.tif").output
+    found = stage(COMPAREDSM, dsm=dsm, reference=truth, align="3d", error=error)
     with opened(error) as dataset:
-        return {**found, "errors": read(dataset)}
+        return found, read(dataset)
 
 
 def where_both(whole: np.ndarray, part: np.ndarray) -> float:
@@ -49,14 +53,14 @@ def where_both(whole: np.ndarray, part: np.ndarray) -> float:
 
 def rows_of(name: str, scene: Scene, folder: str) -> List[List[object]]:
     """A scene's rows: each pair, then all views."""
-    made = SceneFile.load(pipeline(scene.images, folder)["scene"])
+    made = SceneFile.load(pipeline(scene.images, folder).scene)
     pairs = sorted({record.pair for tile in made.tiles for record in tile.heights})
     whole = scored(made, pairs, scene.reference, folder)
-    rows = []
+    rows: List[List[object]] = []
     for label, chosen in [*((" and ".join(pair), [pair]) for pair in pairs), ("**all three**", pairs)]:
-        found = scored(made, chosen, scene.reference, folder) if len(chosen) == 1 else whole
-        share, both = found["completeness_by_threshold"], where_both(whole["errors"], found["errors"])
-        errors = (found["valid"], found["nmad"], found["mae"], found["rmse"], both)
+        found, error = scored(made, chosen, scene.reference, folder) if len(chosen) == 1 else whole
+        share, both = found.completeness_by_threshold, where_both(whole[1], error)
+        errors = (found.valid, found.nmad, found.mae, found.rmse, both)
         rows.append([name, label, *errors, share["1"], share["2.5"]])
         say(rows[-1])
     return rows

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, List, Tuple
+from typing import List, Tuple
 
 import numpy as np
 from osgeo import gdal
@@ -12,11 +12,18 @@ from benchmarks.runner import few, pipeline, say
 from benchmarks.scenes import CACHE, SHARED, made_once
 from benchmarks.tables import Section, table
 from benchmarks.water_and_clouds import DARK, LAND, WATER, make_pair
+from repm_qgis.contracts.results import PipelineResult
+from repm_qgis.contracts.stages import DSMFUSE
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.stages import run_stage
 
-_WET = (("urban", 5, "lakes"), ("mountains", 6, "lakes"), ("mountains", 5, "river"), ("urban", 5, "lakes, XS"))
-_WET += (("mountains", 6, "lakes, XS"),)
+_WET = (
+    ("urban", 5, "lakes"),
+    ("mountains", 6, "lakes"),
+    ("mountains", 5, "river"),
+    ("urban", 5, "lakes, XS"),
+    ("mountains", 6, "lakes, XS"),
+)
 _SIZE = 700
 _PATCHES = (("urban", 5, False), ("mountains", 6, False), ("mountains", 6, True))
 _DRY = {
@@ -28,7 +35,7 @@ _DRY = {
 }
 
 
-def _made(images: List[str], folder: Path) -> Any:
+def _made(images: List[str], folder: Path) -> PipelineResult:
     return pipeline(images, folder, resolution=0.5, workers=1, water="flatten", water_mask=f"{folder}/water.tif")
 
 
@@ -79,7 +86,8 @@ def _level(error: np.ndarray) -> str:
 
 
 def _dry() -> Tuple[List[List[object]], List[str]]:
-    rows, absent = [], []
+    rows: List[List[object]] = []
+    absent: List[str] = []
     for name, files in few(list(_DRY.items())):
         images = [str(SHARED / file) for file in files]
         if not all(Path(image).exists() for image in images):
@@ -123,13 +131,13 @@ def _patches(kind: str, seed: int, lakes: bool) -> List[List[object]]:
     def measure() -> None:
         found = _made([str(folder / f"img_0{number}.tif") for number in (1, 2)], made)
         grey = {"colour": "greys", "output": f"{made}/grey.tif", "water_mask": f"{made}/grey_water.tif"}
-        run_stage("dsmfuse", {"scene": found["scene"], "resolution": 0.5, "workers": 1, **grey}, Silent())
+        run_stage(DSMFUSE, {"scene": found.scene, "resolution": 0.5, "workers": 1, **grey}, Silent())
 
     made_once(folder, simulate)
     made_once(made, measure)
     truth = gdal.Open(str(folder / "truth.tif"))
     classes = np.load(folder / "classes.npy")[: truth.RasterYSize, : truth.RasterXSize]
-    rows = []
+    rows: List[List[object]] = []
     for given, file in (("XS", "water.tif"), ("no XS", "grey_water.tif")):
         water = _on(made / file, truth, 255) == 1
         of = {**DARK, "land": LAND, **(WATER if lakes else {})}

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
 from benchmarks.colour_scene import RATIO
+from benchmarks.scenes import simulation
 from benchmarks.water_spectra import BANDS, in_band, land_cover
 from repm_qgis.geometry.frames import geodetic_from_projected, projected_from_geodetic
 from repm_qgis.imagery.raster import RasterFrame, created
@@ -116,7 +117,9 @@ def make_pair(
     images, alphas = [], []
     for number, (view, fit, bias) in enumerate(zip(views, fits, pointing_errors(2, seed))):
         lit = _rippled(surface, lakes, seed + number)
-        pixels = np.concatenate([strip for _, strip in render_view(lit, view, seed + number, Silent())])
+        pixels = np.concatenate(
+            [strip for _, strip in render_view(lit, view, seed + number, Silent(), simulation().render)]
+        )
         alpha = np.zeros(pixels.shape)
         for index, cloud in enumerate(_clouds(size * gsd) if clouds else ()):
             pixels, alpha = _clouded(pixels, alpha, view, spec, cloud, number, index)
@@ -141,7 +144,7 @@ def _multispectral(
         planes, seen = [], _rippled(surface, lakes, spec.seed + number)
         for index, name in enumerate(BANDS):
             lit = in_band(surface, spec, name, cover, _reflected(seen, spec.sun, lakes, name))
-            strips = render_view(lit, view, spec.seed + 50 * index + number, Silent())
+            strips = render_view(lit, view, spec.seed + 50 * index + number, Silent(), simulation().render)
             pixels, alpha = np.concatenate([strip for _, strip in strips]), np.zeros(view.size[::-1])
             tone = BANDS[name].white_dn / surface.light.sun_dn
             for puff, cloud in enumerate(_clouds(spec.size * spec.sensor.looks[0].gsd_m) if clouds else ()):
@@ -161,8 +164,8 @@ def _reflected(seen: SimulatedSurface, sun: Sun, lakes: np.ndarray, name: str) -
         waves = (seen.radiance - grey) / seen.light.sun_dn
         found = np.where(lakes == number, np.maximum(own + waves, 0.002), found)
     for kind, number in DARK.items():
-        grey = (seen.radiance - seen.light.haze_dn) / seen.light.sun_dn / _light_on(kind, sun, seen.light, 1.0)
-        lit = band.bare * grey * _light_on(kind, sun, seen.light, band.sky)
+        seen_grey = (seen.radiance - seen.light.haze_dn) / seen.light.sun_dn / _light_on(kind, sun, seen.light, 1.0)
+        lit = band.bare * seen_grey * _light_on(kind, sun, seen.light, band.sky)
         found = np.where(lakes == number, lit, found)
     return found
 

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
+from benchmarks import __main__ as every
+from benchmarks import runner
 from benchmarks.programs import peer
-from benchmarks.runner import ROOT, Failed, alone, measured
+from benchmarks.runner import ROOT, Failed, alone, few, measured
 from benchmarks.scoring import difference, scores, shares
 from benchmarks.tables import Details, Section, publish, table
 
@@ -139,6 +141,59 @@ def test_a_section_without_a_page_has_its_own(tmp_path):
     assert page.endswith("new\n\nlong\n\n| a | b |\n|---|---|\n| x | 0.5 |\n")
 
 
+_FAKE = """
+import os, sys, time
+name = sys.argv[1]
+if name == "good":
+    print("| a | b |\\n|---|---|\\n| x | 0.5 |")
+if name == "empty":
+    print("Nothing of 12 was measured.\\n\\n| a 1 | b |\\n|---|---|\\n| x | absent |")
+if name == "slow":
+    print("| a | b |\\n|---|---|\\n| x | 1 |", flush=True)
+    time.sleep(60)
+if name == "killed":
+    os.kill(os.getpid(), 9)
+assert name != "broken", "a part raised"
+"""
+
+
+@pytest.fixture
+def benchmarks(tmp_path, monkeypatch):
+    """The runner of all benchmarks, with others in their place."""
+    (tmp_path / "__main__.py").write_text(_FAKE)
+    monkeypatch.setattr(every, "FOLDER", tmp_path)
+    return every
+
+
+def test_a_benchmark_is_ok_where_it_ends_well_with_a_figure(benchmarks, capfd):
+    assert benchmarks.run_all(["good"], 30.0) == 0
+    assert capfd.readouterr().out.splitlines()[-1].startswith("| good | 0.")
+
+
+@pytest.mark.parametrize(
+    ("name", "limit", "why"),
+    [
+        ("empty", 30.0, "printed no figure"),
+        ("broken", 30.0, "ended with code 1"),
+        pytest.param("killed", 30.0, "ended with code -9", marks=pytest.mark.skipif(os.name == "nt", reason="kill")),
+        pytest.param("slow", 0.5, "stopped after 0.5 s", marks=pytest.mark.skipif(os.name == "nt", reason="sessions")),
+    ],
+)
+def test_a_benchmark_that_fails_fails_all(benchmarks, capfd, name, limit, why):
+    assert benchmarks.run_all([name, "good"], limit) == 1
+    said = capfd.readouterr()
+    assert f"| {name} | " in said.out and said.out.splitlines()[-2].endswith(f" | {why} |")
+    assert f"{name}: {why}" in said.err and ("a part raised" in said.err) == (name == "broken")
+
+
+def test_quick_makes_none_of_the_other_cases(monkeypatch):
+    made = []
+    monkeypatch.setitem(runner._settings, "quick", True)
+    assert few(made.append(case) or case for case in (1, 2, 3)) == [1] and made == [1]
+    monkeypatch.setitem(runner._settings, "quick", False)
+    assert few((1, 2, 3)) == [1, 2, 3]
+
+
 def run(*words):
     command = [sys.executable, str(ROOT / "benchmarks"), *words]
     return subprocess.run(command, capture_output=True, text=True, check=False)
@@ -147,7 +202,7 @@ def run(*words):
 @pytest.mark.long
 def test_the_command_line_names_what_there_is():
     assert "dsm, earthquake, epm, files, frames" in run("--help").stdout
-    assert "NAME" in run("nonsense").stderr
+    assert "NAME" in run("nonsense").stderr and "--quick to run all" in run().stderr
     assert "the parts of pointing are: urban, known" in run("pointing", "nonsense").stderr
     assert "quick figures are not written" in run("cuda", "--quick", "--write").stderr
     assert "| what | px | bar |" in run("epm", "accuracy", "--quick").stdout
