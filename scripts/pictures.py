@@ -287,7 +287,7 @@ def viewer(folder: str) -> None:
 
 # Key, times, and whether with Shift: nearer, turned, tilted, and to the left of the page's panel.
 VIEW = (("+", 3, False), ("ArrowRight", 12, True), ("ArrowDown", 2, True), ("ArrowRight", 2, False))
-LINE = (150, 365), (640, 200)  # ends of the profile, px
+LINE = (120, 370), (690, 250)  # ends of the profile, px
 POINTER = 400, 520  # on its chart
 
 
