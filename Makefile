@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 PYTHON := .venv/bin/python
 
-.PHONY: help setup demo test test-most test-slow test-all bench bench-faults fuzz mutation identity lint types lint-viewer tiles3d-tools cityjson-tools scan site package tables models i18n pictures clean
+.PHONY: help setup demo test test-most test-slow test-all bench bench-faults fuzz mutation identity lint types lint-viewer tiles3d-tools cityjson-tools scan site package tables models i18n pictures fresh clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z0-9%-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -104,6 +104,9 @@ i18n: ## bring i18n/*.ts up to date with the source, and compile them (needs Qt'
 
 pictures: demo ## make docs/pictures again (the report's needs Chromium)
 	@$(PYTHON) scripts/pictures.py
+
+fresh: ## README's commands, the zip and 'pip install .' on a bare Debian 12 and 13, before each release (SYSTEMS=bookworm for one)
+	@scripts/fresh $(SYSTEMS)
 
 clean: ## remove what demo and package made
 	@rm -rf demo dist

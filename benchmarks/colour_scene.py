@@ -59,7 +59,7 @@ def make_colour_scene(spec: SceneSpec, folder: str) -> Tuple[List[str], List[str
     truth = str(Path(folder) / "colours.tif")
     place = surface.west - surface.cell / 2, surface.cell, 0.0, surface.north + surface.cell / 2, 0.0, -surface.cell
     write(truth, [surface.radiance * tint for tint in tints.values()], place, surface.crs, descriptions=tuple(tints))
-    return made["images"], paths, truth
+    return list(made.images), paths, truth
 
 
 def _tints(surface: SimulatedSurface, seed: int) -> Dict[str, np.ndarray]:

@@ -140,6 +140,7 @@ def in_python_thread(call: Callable[[], _Result]) -> _Result:
 def run_here(stage: Stage[R], options: JsonMapping, feedback: QgsProcessingFeedback) -> R:
     """Run a light stage in QGIS's process. Expected failures become QgsProcessingException with one sentence."""
     from ..repm_qgis.contracts.errors import RepmError
+    from ..repm_qgis.runtime.imports import import_failure, is_import_failure
     from ..repm_qgis.runtime.translation import written_in
     from ..repm_qgis.stages import run_stage
 
@@ -148,9 +149,11 @@ def run_here(stage: Stage[R], options: JsonMapping, feedback: QgsProcessingFeedb
             return run_stage(stage, options, FeedbackProgress(feedback, said))
     except RepmError as error:
         raise _failure(str(error)) from None
-    except ImportError as error:
-        if "repm_qgis" in (error.name or ""):  # a part of the engine itself: a bug, or an incomplete plugin
+    except Exception as error:
+        if not is_import_failure(error):
             raise
+        if not isinstance(error, ModuleNotFoundError):
+            raise _failure(str(import_failure(error))) from None
         debian = next((each.debian for each in PACKAGES if each.module == error.name and each.debian), "")
         apt = f" (on Debian and Ubuntu with 'sudo apt install {debian}')" if debian else ""
         raise _failure(

@@ -25,8 +25,9 @@ import traceback
 from typing import Callable, TextIO, Tuple
 
 from .contracts.documents import JsonObject
-from .contracts.errors import INSTALL_REMEDY, Cancelled, MissingPackageError, OptionError, RepmError
+from .contracts.errors import Cancelled, OptionError, RepmError
 from .contracts.results import Result
+from .runtime.imports import import_failure, is_import_failure
 from .runtime.parallel import end_workers
 from .runtime.process_limits import bound_cache, keep_freed_memory, one_thread_for_sums
 from .runtime.progress import JsonLines
@@ -230,12 +231,8 @@ def _send_failure(error: Exception, lines: JsonLines) -> int:
     if isinstance(error, RepmError):
         lines.send(type="error", kind=type(error).__name__, text=lines.translate(str(error)))
         return 1
-    # A missing part of the engine itself is not a missing package.
-    if isinstance(error, ImportError) and not (error.name or "").startswith(__package__ or "repm_qgis"):
-        reason = " ".join(str(error).split())[:300]  # numpy's has paragraphs
-        missing = MissingPackageError(
-            f"The Python package '{error.name}' is not installed for {sys.executable} ({reason}): {INSTALL_REMEDY}."
-        )
+    if is_import_failure(error):
+        missing = import_failure(error)
         lines.send(type="error", kind=type(missing).__name__, text=lines.translate(str(missing)))
         return 1
     text = "".join(traceback.format_exception(type(error), error, error.__traceback__))

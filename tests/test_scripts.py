@@ -18,7 +18,7 @@ from tests.every_file import wrong
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PROGRAMS = [*sorted((ROOT / "scripts").glob("*.py")), ROOT / "scripts" / "demo", ROOT / "scripts" / "package"]
 PROGRAMS += [ROOT / "scripts" / name for name in ("scan", "repm-cluster", "qgis-matrix", "windows-trial")]
-PROGRAMS += [ROOT / "scripts" / name for name in ("workflow-trial", "release")]
+PROGRAMS += [ROOT / "scripts" / name for name in ("workflow-trial", "release", "fresh", "check-subject")]
 PROGRAMS += sorted((ROOT / "benchmarks").rglob("*.py"))
 
 
@@ -147,6 +147,76 @@ def test_a_trial_runs_steps_as_a_workflow_does_and_names_the_one_that_fails(tmp_
     assert (job.clone / "written").read_text().split() == ["one", "hidden", "0"]
     with pytest.raises(trial.Failure, match="no stand-in for someone/else"):
         trial.Trial("job", {"steps": [{"uses": "someone/else@v1.0.0"}]}, tmp_path / "other", {}).run()
+
+
+def test_what_fresh_systems_print_is_judged():
+    fresh = script("fresh")
+    assert fresh.shares("share none 86.204\nshare 3d 87.9\n") == "within 1 m: 86.20 %, aligned 87.90 %"
+    table = "  alignment           RMSE  COMPLETENESS\n  none          2.0   86.2\n  3d            1.9   87.9\n"
+    assert fresh.demo_shares(table) == "within 1 m: 86.20 %, aligned 87.90 %"
+    kept = "before: numpy 1.24.2 GDAL 3.6.2\nafter: numpy 1.24.2 GDAL 3.6.2\n"
+    assert fresh.versions(kept) == "numpy 1.24.2 GDAL 3.6.2, as before"
+    report = '<?xml version="1.0"?><testsuites><testsuite><testcase classname="a" name="b"/>{}</testsuite></testsuites>'
+    assert fresh.counts(report.format("")) == "1 passed, 0 failed, 0 skipped"
+    broken = '<testcase classname="a.test_c" name="d"><failure message="why&#10;more"/></testcase>'
+    for judge, said, words in (
+        (fresh.shares, "share none 86.2\n", "no figures"),
+        (fresh.shares, "share none 12.0\nshare 3d 87.9\n", "at least"),
+        (fresh.demo_shares, "KeyError: 'ME'", "no figures"),
+        (fresh.versions, kept.replace("after: numpy 1.24.2", "after: numpy 2.4.6"), "numpy was replaced"),
+        (fresh.installed, "warning", "were not installed"),
+        (fresh.counts, "", "no test has passed"),
+        (fresh.counts, report.format(broken), "(?s)1 passed, 1 failed.*test_c::d: why$"),
+    ):
+        with pytest.raises(fresh.Failure, match=words):
+            judge(said)
+
+
+PLAIN = ["Fix three wrong warnings", "Process empty tiles", "Embed the font", "Re-read the scene", "Merge branch 'a.'"]
+REFUSED = {
+    "": "Give the commit a subject",
+    "Fix " + "x" * 69: "Shorten the subject from 73 to 72 characters",
+    "Fix the warning.": "Leave out the full stop",
+    "Fix the warning; add a test": "one plain statement",
+    "Demo: print MEDAE": "one plain statement",
+    "fix the warning": "capitalised verb",
+    "The warning is gone": "capitalised verb in the imperative, such as 'Fix', and not with 'The'",
+    "It works": "capitalised verb",
+    "3 warnings fewer": "capitalised verb",
+    "Fixed the warning": "imperative: 'Fix' for 'Fixed'",
+    "Fixing the warning": "into the imperative",
+    "Adds a test": "into the imperative",
+}
+
+
+def test_subjects_of_commits_are_checked_by_the_hook(tmp_path):
+    yaml, program = pytest.importorskip("yaml"), str(ROOT / "scripts" / "check-subject")
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))["repos"][0]["hooks"]
+    (hook,) = [each for each in hooks if each["id"] == "subject"]
+    assert (hook["entry"], hook["stages"]) == ("scripts/check-subject", ["commit-msg"])
+    message = tmp_path / "COMMIT_EDITMSG"
+    for subject, words in {**dict.fromkeys(PLAIN, ""), **REFUSED}.items():
+        message.write_text(f"{subject}\n\nIt was: wrong; now it is right.\n# a comment of git's\n", encoding="utf-8")
+        if not subject:
+            message.write_text("# a comment of git's\n", encoding="utf-8")
+        done = subprocess.run([sys.executable, program, str(message)], capture_output=True, text=True, check=False)
+        assert done.returncode == bool(words) and words in done.stderr, (subject, done.stderr)
+        assert len(done.stderr.splitlines()) == bool(words)
+
+
+def git(*words):
+    done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+    return done.stdout.splitlines() if done.returncode == 0 else []
+
+
+def test_the_commits_since_the_hook_came_have_plain_subjects():
+    if git("rev-parse", "--is-shallow-repository") != ["false"]:
+        pytest.skip("no checkout with its history")
+    came = git("log", "--diff-filter=A", "--format=%H", "--", "scripts/check-subject")[-1:]
+    # What others began before it came is not theirs to change: commits that have it among their ancestors.
+    subjects = git("log", "--no-merges", "--ancestry-path", "--format=%s", f"{came[0]}..HEAD") if came else []
+    fault = script("check-subject").fault
+    assert {subject: told for subject in subjects if (told := fault(subject))} == {}
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from typing import Callable, List, Sequence, TextIO, Tuple
 from ..contracts.errors import MissingPackageError, OptionError, WorkspaceError
 from ..contracts.paths import real_path
 from ..runtime.locks import exclusive
-from ..runtime.packages import PACKAGES, REPLACEABLE, constraints, name_of, narrowed
+from ..runtime.packages import PACKAGES, REPLACEABLE, constraints, name_of
 from ..runtime.progress import Part, Progress
 from ..runtime.workspace import cannot_write, ensure_folder
 from . import environments, pip
@@ -124,7 +124,7 @@ def _make(plan: Plan, python: Interpreter, progress: Progress, log: Callable[[st
         share = Part(progress, 0.05, 0.9)
         pip.install(
             own,
-            [narrowed(line, python.versions) for line in plan.all],
+            plan.all,
             kept,
             share,
             plan.wheels,

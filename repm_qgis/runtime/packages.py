@@ -71,16 +71,6 @@ def constraints(versions: Dict[str, str]) -> List[str]:
     return [f"{name}=={versions[name]}" for name in OF_QGIS if versions.get(name)]
 
 
-def narrowed(requirement: str, versions: Dict[str, str]) -> str:
-    """The requirement without versions that QGIS's numpy excludes.
-
-    opencv-python-headless 4.12 and later need numpy 2. pip before 23.2 learns this only after it has downloaded each
-    of them (240 MB), so it reads it here.
-    """
-    excluded = name_of(requirement) == "opencv-python-headless" and versions.get("numpy", "").startswith("1.")
-    return f"{requirement},<4.12" if excluded else requirement
-
-
 def sizes_mb(requirements: Sequence[str]) -> Tuple[float, float]:
     """What the requirements take to download and on the disk, MB, as measured."""
     packages = [package_of(line) for line in requirements]

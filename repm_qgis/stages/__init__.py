@@ -16,6 +16,7 @@ from ..contracts.options import Options
 from ..contracts.products import FOLDER, SCENE, paths_of
 from ..contracts.results import Result
 from ..contracts.stages import STAGES, R, Stage
+from ..runtime.imports import require_fitting_numpy, show_proj_its_data
 from ..runtime.locks import exclusive
 from ..runtime.progress import Progress
 from ..runtime.shortage import shortage_as_error
@@ -53,6 +54,7 @@ def run_stage(
 
     require_main()
     name = stage if isinstance(stage, str) else stage.name
+    show_proj_its_data()
     with following_links_of(_texts(options)), one_thread_for_loaded_sums():
         return _run(name, options, progress, parameters)
 
@@ -75,6 +77,8 @@ def _run(
     if name not in STAGES:
         raise OptionError("stage", name, f"must be one of {', '.join(STAGES)}")
     checked = STAGES[name].options.from_json(options)
+    if name != "environment":  # which reports it
+        require_fitting_numpy()
     from .collisions import require_distinct
 
     require_distinct(name, checked)

@@ -16,6 +16,7 @@ from ..contracts.results import EnvironmentResult
 from ..installer.interpreter import base_program
 from ..reports.report import Report
 from ..runtime.environment import GRIDS, survey
+from ..runtime.imports import numpy_misfit
 from ..runtime.packages import PACKAGES
 from ..runtime.progress import Progress
 
@@ -28,12 +29,15 @@ def run(options: EnvironmentOptions, progress: Progress) -> EnvironmentResult:
     found = survey(tempfile.gettempdir())
     for names, remedy in _by_remedy(found):
         progress.warn(f"Not installed: {names}. To install what is missing, {remedy}.")
-    if not found["missing"]:
+    misfit = numpy_misfit()
+    if misfit:
+        progress.warn(misfit)
+    elif not found["missing"]:
         progress.info(f"{found['interpreter']} has every package that the engine uses.")
     if not found["cuda"]["usable"]:
         progress.info(f"BACKEND colmap cannot run: {found['cuda']['remedy']}.")
     if options.report:
-        _report(found).write(options.report)
+        _report(found, misfit).write(options.report)
     progress.step(1.0, "reported")
     return EnvironmentResult.from_mapping({**found, "report": options.report, "folder": None})
 
@@ -79,10 +83,12 @@ def _by_remedy(found: JsonObject) -> List[Tuple[str, str]]:
     return [("; ".join(names), remedy) for remedy, names in named.items()]
 
 
-def _report(found: JsonObject) -> Report:
+def _report(found: JsonObject, misfit: str) -> Report:
     page = Report("Environment", f"REPM {__version__} on {found['platform']}")
     page.section("Missing")
-    if not found["missing"]:
+    if misfit:
+        page.warning(misfit)
+    elif not found["missing"]:
         page.paragraph("Nothing: every package that the engine uses is installed.")
     for names, remedy in _by_remedy(found):
         page.warning(f"Not installed: {names}.", f"{remedy}.")

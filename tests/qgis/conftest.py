@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from types import SimpleNamespace
 
 import pytest
 
@@ -256,15 +257,17 @@ def desktop_start(tmp_path):
 
 
 def _truth_scene(folder, size):
+    from repm_qgis.contracts.stages import SAMPLEDATA
     from repm_qgis.runtime.progress import Silent
     from repm_qgis.stages import run_stage
 
-    return run_stage("sampledata", {"folder": str(folder), "kind": "urban", "size": size, "seed": 7}, Silent())
+    options = {"folder": str(folder), "kind": "urban", "size": size, "seed": 7}
+    return SimpleNamespace(**run_stage(SAMPLEDATA, options, Silent()).to_mapping())  # QGIS takes lists, no tuples
 
 
 @pytest.fixture(scope="session")
 def sample(tmp_path_factory):
-    """A small truth scene: {"images": [...], "truth": ..., ...}."""
+    """A small truth scene: images, truth, gcps."""
     return _truth_scene(tmp_path_factory.mktemp("sample"), 256)
 
 

@@ -62,9 +62,9 @@ def test_points_are_measured_by_mouse_and_keys_and_taken_by_gcps(desktop_start, 
     # Reconstruction takes what was saved: the position becomes absolute.
     measured = tmp_path / "measured.csv"
     measured.write_text(found["file"])
-    options = {"images": town["images"], "workspace": str(tmp_path / "work"), "gcps": str(measured)}
+    options = {"images": town.images, "workspace": str(tmp_path / "work"), "gcps": str(measured)}
     made = run_stage("pipeline", {**options, "output": str(tmp_path / "dsm.tif")}, Silent())
-    judged = run_stage("checkgcps", {"gcps": town["gcps"], "scene": made.scene}, Silent()).components
+    judged = run_stage("checkgcps", {"gcps": town.gcps, "scene": made.scene}, Silent()).components
     for component in ("east", "north"):
         assert judged["scene"][component].rmse < 0.25 * judged["rpc"][component].rmse
 
@@ -75,7 +75,7 @@ def check_height(town, lon, lat, height):
 
     from repm_qgis.geometry.frames import projected_from_geodetic
 
-    truth = gdal.Open(town["truth"])
+    truth = gdal.Open(town.truth)
     crs = truth.GetProjection()
     x, y = projected_from_geodetic(crs, np.array([lon, lat]))
     left, step, _, top, _, down = truth.GetGeoTransform()

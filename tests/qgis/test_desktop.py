@@ -156,7 +156,7 @@ def test_a_dsm_in_the_elevation_profile_tool(desktop_start, town, tmp_path):
     from repm_qgis.reports.styles import write_style
 
     dsm = str(tmp_path / "dsm.tif")
-    shutil.copyfile(town["truth"], dsm)
+    shutil.copyfile(town.truth, dsm)
     write_style("dsm", dsm)
     found = desktop_start("drive_profile.py", {"dsm": dsm}, seconds=60)
     assert found["elevation"] and found["offered"] == ["DSM"]

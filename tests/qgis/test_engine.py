@@ -342,6 +342,10 @@ def test_no_interpreter_at_all_says_where_it_was_looked_for(engine, monkeypatch)
         engine.find_python()
 
 
+def raised(error):
+    raise error
+
+
 def test_light_stages_turn_errors_into_sentences(plugin, feedback, monkeypatch):
     from repm.processing_provider import engine
 
@@ -352,6 +356,18 @@ def test_light_stages_turn_errors_into_sentences(plugin, feedback, monkeypatch):
     with monkeypatch.context() as bug, pytest.raises(ZeroDivisionError):  # a bug keeps its traceback
         bug.setattr("repm.repm_qgis.stages.run_stage", lambda *arguments: 1 / 0)
         engine.run_here(EPMFIT, {"images": ["a", "b"], "workspace": "w"}, feedback)
+    for error, words in (
+        (ImportError("libX.so: cannot open"), r"The Python package '\w+(\.\w+)?' cannot be imported .*libX.so"),
+        (ImportError("numpy.core.multiarray failed to import"), r'was built for .* type .* -m pip install .*"numpy<2"'),
+        (
+            ModuleNotFoundError("No module named 'scipy'", name="scipy"),
+            "'scipy' is not installed for QGIS's own Python",
+        ),
+    ):
+        with monkeypatch.context() as broken, pytest.raises(QgsProcessingException, match=words) as caught:
+            broken.setattr("repm.repm_qgis.stages.run_stage", lambda *arguments, error=error: raised(error))
+            engine.run_here(EPMFIT, {"images": ["a", "b"], "workspace": "w"}, feedback)
+        assert "None" not in str(caught.value) and "\n" not in str(caught.value)
     feedback.cancel()
     from repm.repm_qgis.contracts.errors import Cancelled
 

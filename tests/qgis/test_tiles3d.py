@@ -37,10 +37,10 @@ def test_qgis_draws_the_tileset_where_the_dsm_lies(load, town, tmp_path):
         pytest.skip(f"QGIS {Qgis.QGIS_VERSION} has no tiled scenes: they came with 3.34")
     from qgis.core import QgsTiledSceneLayer
 
-    results, _ = load("tiles3d", {"DSM": town["truth"], "TILES3D": str(tmp_path / "tiles")}, {})
+    results, _ = load("tiles3d", {"DSM": town.truth, "TILES3D": str(tmp_path / "tiles")}, {})
     layer = QgsTiledSceneLayer(results["TILESET"], "tiles", "cesiumtiles")
     assert layer.isValid(), layer.error().message()
-    dsm = QgsRasterLayer(town["truth"], "dsm")
+    dsm = QgsRasterLayer(town.truth, "dsm")
     settings = QgsMapSettings()
     settings.setDestinationCrs(dsm.crs())
     settings.setExtent(dsm.extent())

@@ -91,7 +91,7 @@ def test_numbers_raster_and_report(make_raster, tmp_path, terrain):
     assert got.valid == pytest.approx(100 * e.size / n, abs=1e-6)
     assert got.completeness == pytest.approx(100 * (abs(e) < 0.5).sum() / n, abs=1e-6)
     assert set(got.completeness_by_threshold) == {"0.5", "1"}
-    json.dumps(got, allow_nan=False)
+    json.dumps(got.to_mapping(), allow_nan=False)
     raster = gdal.Open(str(tmp_path / "e.tif"))
     values, band = raster.ReadAsArray(), raster.GetRasterBand(1)
     assert raster.GetGeoTransform() == gdal.Open(b).GetGeoTransform() and band.DataType == gdal.GDT_Float32

@@ -311,7 +311,7 @@ def test_every_tile_is_a_model_of_its_own(scenes, tmp_path, told):
         "exportcameras", {"scene": scenes["refined"], "folder": str(tmp_path / "all"), "format": "mvsnet"}, said
     )
     tiles = [tile.id for tile in Scene.load(scenes["refined"]).tiles]
-    assert len(tiles) == 4 and result.models == [str(tmp_path / "all" / tile) for tile in tiles]
+    assert len(tiles) == 4 and result.models == tuple(str(tmp_path / "all" / tile) for tile in tiles)
     assert result.images == 12 and result.folder == str(tmp_path / "all")
     assert sorted(path.name for path in (tmp_path / "all").iterdir()) == sorted(tiles)
     assert said.fractions == sorted(said.fractions) and said.fractions[-1] == 1

@@ -126,7 +126,7 @@ def test_whole_numbers_with_a_nodata_value_may_lie_below_zero(tmp_path, told):
     compared = run_stage("comparedsm", {"dsm": paths[0], "reference": paths[1], "align": "none"}, told())
     assert compared.rmse == pytest.approx(1.0, abs=1e-6)
     made = run_stage("mosaic", {"dsms": paths, "output": str(tmp_path / "m.tif")}, told())
-    assert [each["added"] for each in made.offsets] == pytest.approx([-0.5, 0.5], abs=1e-3)
+    assert [each.added for each in made.offsets] == pytest.approx([-0.5, 0.5], abs=1e-3)
 
 
 @pytest.mark.parametrize(

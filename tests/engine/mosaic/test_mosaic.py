@@ -138,7 +138,7 @@ def test_products_say_where_heights_come_from(made, four):
     top = page[: page.index("<img")]
     assert "<strong>Good.</strong> After the offsets, the median differences" in " ".join(top.split())
     assert page.count("data:image/png") == 2 and all(path in page for path in four) and "+2.499" in page
-    json.dumps(result, allow_nan=False)
+    json.dumps(result.to_mapping(), allow_nan=False)
 
 
 @pytest.mark.long

@@ -102,7 +102,7 @@ def test_points_that_are_near_but_off_are_measured_and_the_report_warns(urban, c
     fitted = run_stage("epmfit", {"images": urban.images, "workspace": str(tmp_path / "fit")}, told()).scene
     report = tmp_path / "report.html"
     result = run_stage("checkgcps", {"scene": fitted, "gcps": path, "report": str(report)}, said)
-    assert result.components["rpc"]["north"]["medae"] == pytest.approx(120, abs=5)
+    assert result.components["rpc"]["north"].medae == pytest.approx(120, abs=5)
     assert any("lie too far from where the vendors' RPCs put their pixels: 12" in text for text in said.warnings)
     assert "lie too far" in report.read_text(encoding="utf-8")
     with pytest.raises(InputTableError, match="lie too far"):

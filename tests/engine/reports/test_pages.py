@@ -49,7 +49,7 @@ BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "
 @pytest.mark.long
 def test_no_table_is_cut_at_the_right(tmp_path, urban_run):
     """At 900 px, the width of half a screen, no table is wider than the page."""
-    page = (Path(urban_run.result["report"])).read_text(encoding="utf-8")
+    page = (Path(urban_run.result.report)).read_text(encoding="utf-8")
     measure = "[...document.querySelectorAll('.scroll')].map(x => x.scrollWidth - x.clientWidth)"
     script = f"<script>document.title = 'cut ' + Math.max(...{measure})</script>"
     (tmp_path / "r.html").write_text(page.replace("</body>", f"{script}</body>"), encoding="utf-8")

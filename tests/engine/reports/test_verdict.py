@@ -34,7 +34,7 @@ def made(urban_run):
 def test_a_good_run_is_called_good_and_says_why(urban_run, made):
     scene, facts = made
     assert verdict.of_run(scene, facts) == []
-    page = plain(pipeline_report(scene, urban_run.result, urban_run.result["seconds"], None).html())
+    page = plain(pipeline_report(scene, urban_run.result, None).html())
     top = page[: page.index("<img")]
     assert 'class="warning good"' in top and "<strong>Good.</strong>" in top
     assert f"{facts.valid_percent:.0f} % of the ground that two images see has a height." in top
@@ -65,8 +65,8 @@ def test_each_figure_beyond_its_bound_is_a_finding(made):
 
 def test_a_report_lists_what_to_look_at(urban_run, made):
     scene, facts = made
-    result = {**urban_run.result, "valid_percent": 12.0}
-    page = plain(pipeline_report(scene, result, result["seconds"], None).html())
+    result = replace(urban_run.result, valid_percent=12.0)
+    page = plain(pipeline_report(scene, result, None).html())
     top = page[: page.index("<img")]
     assert "<strong>Look at:</strong>" in top and "<li>Only 12 % of the ground" in top and "Good." not in top
 
@@ -93,7 +93,7 @@ def test_a_comparison_is_judged_by_spread():
 def test_the_share_of_heights_is_that_of_the_ground_which_two_images_see(urban_run, made):
     scene, facts = made
     assert facts.valid_percent > 90  # of the rectangle around it, about 70: the images are turned
-    with opened(urban_run.result["output"]) as dataset:
+    with opened(urban_run.result.output) as dataset:
         seen = overlap_m2(scene, float(np.nanmedian(read(dataset))))
     assert facts.cells == pytest.approx(max(seen / facts.resolution**2, facts.valid), rel=1e-3)
     # The images of the town are 400 px of 0.5 m, and see nearly the same ground.
@@ -107,7 +107,7 @@ def tops(pages):
 
 def test_the_pages_of_cameras_begin_with_a_verdict(made, urban_run, tmp_path):
     scene, _ = made
-    raster = urban_run.result["output"]  # its picture is all that the page takes of it
+    raster = urban_run.result.output  # its picture is all that the page takes of it
     worst = verdict.fitted_error_px(scene)
     pages = {
         "fit": fit_report(scene),

@@ -243,7 +243,7 @@ def test_images_in_cloud_storage_are_read_by_the_workers(cluster, on, urban, tol
             run_stage("pipeline", {**made, "images": images, "cluster": there.address}, told())
         finally:
             there.end()
-    np.testing.assert_array_equal(gdal.Open(made["output"]).ReadAsArray(), wanted)
+    np.testing.assert_array_equal(gdal.Open(made.output).ReadAsArray(), wanted)
     assert len(asked) > before
 
 

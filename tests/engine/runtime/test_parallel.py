@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import re
@@ -253,6 +254,24 @@ def test_on_macos_no_worker_is_a_copy_of_a_process_with_native_threads(monkeypat
     assert parallel._context().get_start_method() == "spawn"
 
 
+def commands_of_children():
+    """The command lines of this process's children that have not ended; bare Linux systems have no ps."""
+    if not os.path.exists("/proc/self/stat"):
+        words = ["ps", "-A", "-o", "ppid,stat,args"]
+        lines = subprocess.run(words, text=True, stdout=subprocess.PIPE, check=True).stdout.splitlines()[1:]
+        found = [line.split(None, 2) for line in lines]
+        return [each[2] for each in found if each[0] == str(os.getpid()) and "Z" not in each[1]]
+    commands = []
+    for number in filter(str.isdigit, os.listdir("/proc")):
+        with contextlib.suppress(OSError):  # it ends just now
+            with open(f"/proc/{number}/stat", encoding="utf-8", errors="replace") as stream:
+                state, parent = stream.read().rpartition(")")[2].split()[:2]
+            if int(parent) == os.getpid() and state != "Z":
+                with open(f"/proc/{number}/cmdline", encoding="utf-8", errors="replace") as stream:
+                    commands.append(stream.read().replace("\0", " "))
+    return commands
+
+
 def test_cancel_is_quick_and_leaves_no_process(work, told):
     start = time.monotonic()
     with pytest.raises(Cancelled):
@@ -261,10 +280,7 @@ def test_cancel_is_quick_and_leaves_no_process(work, told):
     assert multiprocessing.active_children() == []
     if os.name == "nt":  # which has no ps, and no server whose children these would be
         return
-    listed = subprocess.run(
-        ["ps", "-o", "pid,stat,args", "--ppid", str(os.getpid())], text=True, stdout=subprocess.PIPE, check=False
-    ).stdout
-    running = "".join(line for line in listed.splitlines(True) if " Z" not in line)
+    running = "".join(commands_of_children())
     assert "spawn_main" not in running and "forkserver" not in running
 
 
@@ -314,6 +330,9 @@ def threads():
     return [get() for get, _ in _thread_settings()]
 
 before = threads()
+if not before and not any(name in open("/proc/self/maps").read() for name in ("openblas", "libmkl")):
+    print("one thread alone")  # the reference's, which a bare Debian has
+    raise SystemExit
 assert before, "no library is known"
 entered, leave = threading.Event(), threading.Event()
 
@@ -364,6 +383,8 @@ def test_linear_algebra_that_others_have_loaded_gets_one_thread_for_a_while():
         [sys.executable, "-c", _PINNING], capture_output=True, text=True, env=environment, check=False
     )
     assert done.returncode == 0, done.stderr
+    if done.stdout.strip() == "one thread alone":
+        pytest.skip("this numpy's linear algebra has one thread alone")
     if cores() > 1:
         assert done.stdout.strip() == "before 2"
 

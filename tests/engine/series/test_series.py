@@ -130,7 +130,7 @@ def bands(path):
 
 def test_the_stack_has_all_dates_in_their_order(whole):
     folder, result = whole
-    assert result.dates == list(DAYS)
+    assert result.dates == tuple(DAYS)
     stack = gdal.Open(str(folder / "s.tif"))
     assert [stack.GetRasterBand(band).GetDescription() for band in range(1, 7)] == list(DAYS)
     assert stack.GetMetadataItem("DATE_4") == DAYS[3] and stack.GetSpatialRef().GetAuthorityCode(None) == "32631"

@@ -125,7 +125,7 @@ def test_no_control_point_vouches_for_itself(urban, scene, points, tmp_path, tol
     """One control point off by 1 px in all rows of all views: its own error shows in full, others feel a fifth."""
     path = written(tmp_path / "g.csv", urban, points, pixel=lambda k, name, p: p + (0.0, 1.0 if k == 0 else 0.0))
     result = run_stage("checkgcps", {"gcps": path, "scene": scene, "output": str(tmp_path / "p.gpkg")}, told())
-    assert result.wrong == []
+    assert result.wrong == ()
     found, _ = features(result.output)
     px = [found[f"P{k:02d}"]["properties"]["compensated_px"] for k in range(12)]
     assert px[0] == pytest.approx(1.0, abs=0.01)
@@ -149,7 +149,7 @@ def test_two_wrong_points_of_twelve_are_named_and_left_out(urban, scene, points,
         {"gcps": path, "scene": scene, "output": str(tmp_path / "p.gpkg"), "report": str(tmp_path / "r.html")},
         said,
     )
-    assert result.wrong == ["P02", "P06"]
+    assert result.wrong == ("P02", "P06")
     assert [text.split(" contradicts")[0] for text in said.warnings] == [
         "The control point P02",
         "The control point P06",
@@ -321,7 +321,7 @@ def test_layer_style_and_report_tell_all_columns(urban, scene, exact, tmp_path, 
     found, _ = features(result.output)
     assert found["P05"]["properties"]["height_error"] == pytest.approx(0.0, abs=1e-3)
     assert found["P05"]["properties"]["views"] == "img_01, img_02, img_03"
-    assert json.dumps(result, allow_nan=False)
+    assert json.dumps(result.to_mapping(), allow_nan=False)
 
 
 def test_the_page_says_only_what_applies(urban, scene, exact, points, tmp_path, told):

@@ -10,6 +10,7 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis.contracts.records import DemOffset, FusionFacts
+from repm_qgis.contracts.results import FusedSurface
 from repm_qgis.imagery.raster import write
 from repm_qgis.registration.dem_offset import stated_height_deviation
 from repm_qgis.reports import verdict
@@ -56,9 +57,7 @@ def test_the_offset_is_that_of_the_truth(urban, urban_run, tmp_path, told, up, f
     said, dem = told(), dem_of(urban, tmp_path, up)
     scene, made = fused(urban_run, tmp_path, dem, said, fill=fill, resolution=1.0)
     found = FusionFacts.from_mapping(made.to_mapping()).dem_offset
-    assert found.file == dem and found.up_m == pytest.approx(
-        true_offset(urban, urban_run.result["output"]) - up, abs=0.4
-    )
+    assert found.file == dem and found.up_m == pytest.approx(true_offset(urban, urban_run.result.output) - up, abs=0.4)
     assert 0.0 < found.deviation_m < 0.5
     # Two deviations of 6.0 / 2 m and of the DEM's own 2.4 m.
     assert found.most_m == pytest.approx(2 * np.hypot(3.0, 2.4), rel=0.02)
@@ -70,7 +69,7 @@ def test_the_offset_is_that_of_the_truth(urban, urban_run, tmp_path, told, up, f
     assert text in warned and f"at most {found.most_m:.1f} m are to be expected" in warned and "above" in text
     facts = FusionFacts.from_mapping(made.to_mapping())
     assert any(text in finding for finding in verdict.of_run(scene, facts))
-    page = plain(pipeline_report(scene, {**urban_run.result, **made}, urban_run.result["seconds"], None).html())
+    page = plain(pipeline_report(scene, replace(urban_run.result, **made.fields_of(FusedSurface)), None).html())
     assert page.count(f"The DSM lies {found.up_m:.1f} m above the DEM") == 1 and "Nothing here measures" not in page
 
 

@@ -36,7 +36,7 @@ def test_what_is_missing_is_warned_of_with_its_remedy(tmp_path, monkeypatch):
     ]
     page = plain(report.read_text(encoding="utf-8"))
     assert "Not installed: pycolmap: tie points; laspy: points." in page and "choose this." in page
-    assert result.missing == found["missing"]
+    assert list(result.missing) == found["missing"]
 
 
 def test_what_cuda_needs_is_told_with_its_command(tmp_path, monkeypatch):

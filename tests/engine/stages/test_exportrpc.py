@@ -76,7 +76,7 @@ def test_the_vrts_are_the_images_with_the_pointed_model(pointed, turned, tmp_pat
     for number, path in enumerate((pointed, turned)):
         scene = Scene.load(str(path))
         made = export(path, tmp_path / str(number), told)
-        assert made.images == [str(tmp_path / str(number) / f"{view.name}.vrt") for view in scene.views]
+        assert made.images == tuple(str(tmp_path / str(number) / f"{view.name}.vrt") for view in scene.views)
         assert made.max_error < 1e-4
         again = load_views(tuple(made.images))
         for view, vrt, loaded in zip(scene.views, made.images, again):

@@ -54,7 +54,7 @@ def test_mixed_pairs_are_as_good_as_the_coarser_sensors_own(urban, coarse, tmp_p
         made = {"images": images, "workspace": str(tmp_path / name), "output": str(tmp_path / f"{name}.tif")}
         said = told()
         run_stage("pipeline", {**made, "resolution": 1.0, "workers": 1}, said)
-        scores[name] = score(made["output"], urban.truth, 1.0)
+        scores[name] = score(made.output, urban.truth, 1.0)
         if name in mixed:
             assert any("each pair is matched at that of its coarser image" in note for note in said.notes)
             scene = Scene.load(str(tmp_path / name / "reconstructed.json"))
@@ -96,7 +96,7 @@ def test_a_mixed_scene_is_the_same_whichever_image_is_named_first(urban, coarse,
         del scene["history"], scene["folder"]  # which names the images as they were given
     assert one == other
     alike = run_stage("epmfit", {"images": urban.images[1::-1], "workspace": str(tmp_path / "alike")}, told())
-    assert [view.image for view in Scene.load(alike.scene).views] == urban.images[1::-1]
+    assert [view.image for view in Scene.load(alike.scene).views] == list(urban.images[1::-1])
 
 
 def test_one_fine_image_makes_no_fine_scene(urban, coarse):

@@ -275,7 +275,7 @@ def test_four_million_cells_open_in_seconds(browser, tmp_path):
         tmp_path / "large.tif", surface(2000) + np.random.default_rng(0).normal(0, 0.1, (2000, 2000)).astype("f4")
     )
     made = run_stage("viewer", {"dsm": dsm, "viewer": str(tmp_path / "large.html")}, Silent())
-    assert made["columns"] == made["rows"] == 2000
+    assert made.columns == made.rows == 2000
     browser.open(tmp_path / "large.html")
     ready = int(browser.wait(f"document.title === 'large' && {READY}"))
     assert ready < 10_000
