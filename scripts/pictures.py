@@ -296,7 +296,7 @@ POINTER = 400, 520  # on its chart
 
 def tested(folder: str, tests: Sequence[str], **variables: str) -> None:
     """Run desktop tests, which keep their screenshots in a folder."""
-    command = [sys.executable, "-m", "pytest", "-p", "no:pytest_qgis", "-q", f"--basetemp={folder}/repm", *tests]
+    command = [sys.executable, "-m", "pytest", "-p", "no:pytest_qgis", "-q", f"--basetemp={folder}/t", *tests]
     done = subprocess.run(
         command,
         cwd=ROOT,
@@ -318,7 +318,9 @@ def desktop(folder: str) -> None:
         if os.path.exists(os.path.join(folder, source)):
             keep(os.path.join(folder, source), name)
         else:
-            say(f"  {name} is left as it is: {'it needs QGIS 3.26' if name == 'profile.png' else 'its test is skipped'}")
+            say(
+                f"  {name} is left as it is: {'it needs QGIS 3.26' if name == 'profile.png' else 'its test is skipped'}"
+            )
     recording(folder, "whole_way_", "whole_way.gif")
 
 
@@ -329,9 +331,13 @@ def recording(folder: str, source: str, name: str) -> None:
     except ImportError:
         say(f"  {name} is left as it is: no Pillow here")
         return
+    shots = sorted(file for file in os.listdir(folder) if file.startswith(source))
+    if not shots:
+        say(f"  {name} is left as it is: its test is skipped")
+        return
     size, corner = (720, 459), (0, 0, 1380, 880)  # the screen has an edge around QGIS's window
     frames = []
-    for file in sorted(file for file in os.listdir(folder) if file.startswith(source)):
+    for file in shots:
         with Image.open(os.path.join(folder, file)) as picture:
             frames.append(picture.convert("RGB").crop(corner).resize(size, Image.LANCZOS))
     some = [frames[round(part * (len(frames) - 1))] for part in (0, 0.15, 0.6, 1)]
