@@ -102,7 +102,7 @@ models: setup ## write resources/models again
 i18n: ## bring i18n/*.ts up to date with the source, and compile them (needs Qt's lrelease)
 	@/usr/bin/env python3 scripts/i18n.py
 
-pictures: demo ## make docs/pictures again (the report's needs Chromium)
+pictures: demo ## make docs/pictures again (some need Chromium, the desktop with Xvfb, the network or the shared data; others stay as they are)
 	@$(PYTHON) scripts/pictures.py
 
 fresh: ## README's commands, the zip and 'pip install .' on a bare Debian 12 and 13, before each release (SYSTEMS=bookworm for one)

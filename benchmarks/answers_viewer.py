@@ -1,26 +1,23 @@
 """The page of a surface for the browser: its size, what it takes to make it, and how soon a browser shows it.
 
-Chromium without a graphics card loads and draws it, so these are the times of a slow device. Pictures of a real town go
-to docs/pictures, where the shared data and Chromium are there.
+Chromium without a graphics card loads and draws it, so these are the times of a slow device.
 """
 
 from __future__ import annotations
 
 import os
 import tempfile
-from pathlib import Path
 from typing import List, Sequence
 
 import numpy as np
 
 from benchmarks.clouds import NORTH, WEST, heights
-from benchmarks.runner import ROOT, alone, few, is_quick, pipeline, say, stage
+from benchmarks.runner import alone, few, is_quick, say, stage
 from benchmarks.tables import table
 from repm_qgis.contracts.stages import VIEWER
 from tests.browser import PROGRAM, Browser
 
 SIDES = (1000, 2000, 4000)
-TOWN = ROOT.parent / "shared" / "data" / "jax_068"
 READY = "document.title === '{}' && document.documentElement.dataset.ready"
 # Frames of a view that turns, each waited for.
 TURN = """(async () => {
@@ -78,9 +75,6 @@ def pages() -> List[str]:
                 shown = opened(folder, f"surface{side}")
             rows.append([side * side / 1e6, size, made.cpu_s, round(made.mib), *shown])
             say(rows[-1])
-    if PROGRAM and TOWN.is_dir() and not is_quick():
-        with tempfile.TemporaryDirectory() as folder:
-            pictures(folder)
     return [
         "**A surface in the browser** (`repm:viewer`): simulated hills with blocks and noise of 0.1 m, an orthophoto "
         "and the expected error draped over them. Chromium draws by software alone (SwiftShader) in 1280 x 800 px; "
@@ -88,32 +82,3 @@ def pages() -> List[str]:
         "4 million cells.",
         table("Mcells | MB | CPU to make it, s | memory, MiB | until it is drawn, s | frames a second", rows),
     ]
-
-
-def pictures(folder: str) -> None:
-    """A real town, with a profile, under its orthophoto and under the expected error of its heights."""
-    images = [str(path) for path in sorted(TOWN.glob("JAX_*_RGB.tif"))[:6]]
-    pipeline(images, folder, resolution=0.5, preset="city", viewer=f"{folder}/town.html")
-    with Browser(f"{folder}/browser", (980, 640)) as browser:
-        browser.open(f"{folder}/town.html")
-        browser.wait(READY.format("dsm"))
-        for key, shift in (("+", False), *[("ArrowRight", True)] * 4, ("ArrowDown", True)):
-            browser.key(key, shift)
-        for key, name in (("2", "viewer_ortho"), ("3", "viewer_error"), ("1", "viewer")):
-            browser.key(key)
-            if name == "viewer":
-                browser.key("p")
-                browser.click(300, 270)
-                browser.click(580, 330)
-                browser.mouse("Moved", 400, 520)
-            browser.evaluate("document.activeElement.blur()")
-            path = Path(folder) / f"{name}.png"
-            browser.picture(path)
-            keep(path)
-
-
-def keep(path: Path) -> None:
-    """Put a picture into docs/pictures, as those of 'make pictures'."""
-    from scripts.pictures import keep as kept
-
-    kept(str(path), path.name, 290_000)

@@ -12,12 +12,11 @@ import pyproj
 
 from benchmarks.runner import alone, few, is_quick, say, stage
 from benchmarks.scenes import CACHE, made_once
-from benchmarks.tables import DOCS, Section, table
+from benchmarks.tables import Section, table
 from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.contracts.stages import MOSAIC
 from repm_qgis.imagery import raster
 from repm_qgis.numerics.robust import nmad
-from repm_qgis.reports.pictures import gradients, hillshade, png_bytes
 from repm_qgis.runtime.process_limits import bound_cache
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.surface import Ground, fractal
@@ -169,8 +168,6 @@ def seams() -> List[str]:
             off = float(np.abs(added + OFFSETS - OFFSETS.mean()).max())
             rows.append([label, *figures(mosaic - truth, source), round(seconds, 1)])
             say(rows[-1])
-            if not is_quick():
-                picture(DOCS / "pictures" / "mosaic.png", first_come(dsms, truth.shape), mosaic)
     return [
         f"**Twelve DSMs** of {side()} x {side()} cells of 0.5 m that overlap by {OVERLAP:.0%}, of one simulated town "
         f"of {truth.size / 1e6:.1f} million cells: offsets of up to 3 m, noise of 0.06 to 0.25 m with a grain of some "
@@ -192,15 +189,6 @@ def figures(error: np.ndarray, source: np.ndarray) -> List[object]:
     known = error[np.isfinite(error)]
     values = (*steps(error, source), nmad(known), 100.0 * float((np.abs(known) < 1).mean()))
     return [round(value, 3) for value in values]
-
-
-def picture(path: Path, *surfaces: np.ndarray) -> None:
-    """A part of surfaces side by side, as hillshades with the light from the north-west, as QGIS draws them."""
-    rows, columns = np.s_[650:1150], np.s_[700:1200]
-    shades = [hillshade(*gradients(heights, CELL))[rows, columns] for heights in surfaces]
-    gap = np.ones((shades[0].shape[0], 8), np.float32)
-    path.write_bytes(png_bytes(np.nan_to_num(np.hstack([shades[0], gap, *shades[1:]]) * 255).astype(np.uint8)))
-    say(path)
 
 
 # Cost -------------------------------------------------------------------------------------------------------------

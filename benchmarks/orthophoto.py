@@ -18,10 +18,10 @@ from benchmarks.answers_colour import _BLOCK, _CLEAR, _bands, _blocks, _gradient
 from benchmarks.colour_scene import make_colour_scene
 from benchmarks.runner import ROOT, measured, pipeline, stage
 from benchmarks.scenes import CACHE, SHARED, made_once, quick_size
-from benchmarks.tables import DOCS, Section, table
+from benchmarks.tables import Section, table
 from repm_qgis.contracts.arrays import Window
 from repm_qgis.contracts.options import DsmFuseOptions
-from repm_qgis.contracts.stages import DSMFUSE, EXPORTRPC
+from repm_qgis.contracts.stages import EXPORTRPC
 from repm_qgis.fusion.finished import FinishedSurface
 from repm_qgis.fusion.visible import nadir_first
 from repm_qgis.geometry.cell_grid import overlapping_blocks
@@ -32,7 +32,6 @@ from repm_qgis.ortho.colour_sources import colour_plan
 from repm_qgis.ortho.grey_ortho import make_grey_ortho
 from repm_qgis.ortho.parameters import ORTHO, OrthoParameters
 from repm_qgis.ortho.seen_surface import SeenSurface
-from repm_qgis.reports.pictures import jpeg_bytes
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import Scene, View
 from repm_qgis.simulation.scene import SceneSpec
@@ -43,7 +42,6 @@ _REACH_M = 2.5  # to each side of an edge: what lies there, but for its inner ha
 _LEAST_STEP = 25.0  # grey levels between them
 _ROUGHEST = 0.15  # of this step: their standard deviation
 _SIDE = 128  # of the DSM's cells: blocks so small that there are many borders
-_PART_M = (175.0, 60.0, 40.0)  # of the picture, from the DSM's corner to the right and down, and its side
 _ASIDE = ((3, 0), (-3, 0), (0, 3), (0, -3))  # rows and columns by which seams are moved
 
 
@@ -320,30 +318,6 @@ def _against(path: str, true: np.ndarray, like: str) -> List[object]:
     return [gdal.Open(path).GetGeoTransform()[1], alike, 100.0 * float(np.median(errors)), len(shifts), *ends]
 
 
-# --- a picture ---
-
-
-def picture() -> List[str]:
-    """Write docs/pictures/ortho_resolution.jpg: a part of the real town on both cells, side by side."""
-    if not _TOWN.exists():
-        return []
-    scene, dsm = _reconstructed()
-    parts = []
-    with tempfile.TemporaryDirectory() as work:
-        for cell in (0.62, 0.31):
-            made = {"output": f"{work}/dsm.tif", "ortho": f"{work}/{cell}.tif", "ortho_resolution": cell}
-            stage(DSMFUSE, scene=str(scene.path), workers=1, **made)
-            dataset = gdal.Open(made["ortho"])
-            x, _, _, y, _, _ = dataset.GetGeoTransform()
-            ends = (x + _PART_M[0], y - _PART_M[1] - _PART_M[2], x + _PART_M[0] + _PART_M[2], y - _PART_M[1])
-            shown = gdal.Warp("", dataset, format="MEM", outputBounds=ends, width=640, height=640, resampleAlg="near")
-            parts.append(shown.ReadAsArray()[:3].transpose(1, 2, 0))
-    gap = np.full((640, 16, 3), 255, np.uint8)
-    whole = np.concatenate([parts[0], gap, parts[1]], axis=1)
-    (DOCS / "pictures" / "ortho_resolution.jpg").write_bytes(jpeg_bytes(whole, 82))
-    return []
-
-
 # --- what it costs ---
 
 
@@ -379,6 +353,6 @@ SECTIONS = [
         "orthophoto",
         "Orthophotos at the images' resolution",
         "make bench-orthophoto",
-        {"town": town, "truth": truth, "cost": cost, "picture": picture},
+        {"town": town, "truth": truth, "cost": cost},
     )
 ]

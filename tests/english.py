@@ -13,7 +13,7 @@ _WORDS = re.compile(
     r"registered|determined|horizontally)\b"
 )
 _QUOTED = re.compile(
-    r"„[^“]*“|'[^']*'|`[^`]*`|<i>.*?</i>|<code>.*?</code>|\*[^*]+\*|\S*[/\\]\S*|<[^>]*>|\S+\.\w{2,4}\b"
+    r"„[^“]*“|'[^']*'|`[^`]*`|<i>.*?</i>|<code>.*?</code>|\*[^*]+\*|\S*[/\\]\S*|<[^>]*>|\S+\.\w{2,4}\b|--[a-z-]+"
 )
 
 
