@@ -9,6 +9,7 @@ import select
 import shutil
 import subprocess
 import time
+from typing import Sequence, Tuple
 
 PROGRAM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 _OPTIONS = (
@@ -20,7 +21,7 @@ _OPTIONS = (
 class Browser:
     """One page of a size (px); ``options`` are more of Chromium's. To be used in a ``with`` block."""
 
-    def __init__(self, folder, size=(1280, 800), options=()):
+    def __init__(self, folder: str, size: Tuple[int, int] = (1280, 800), options: Sequence[str] = ()) -> None:
         (self._their_read, self._write), (self._read, self._their_write) = os.pipe(), os.pipe()
         command = [PROGRAM, *_OPTIONS, f"--user-data-dir={folder}", f"--window-size={size[0]},{size[1]}", *options]
 
