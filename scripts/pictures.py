@@ -283,7 +283,7 @@ def viewer(folder: str) -> None:
             browser.evaluate("document.activeElement.blur()")
             path = os.path.join(folder, name)
             browser.picture(path)
-            keep(path, name)
+            keep(path, name, 300_000)
 
 
 # Key, times, and whether with Shift: nearer, turned, tilted, and to the left of the page's panel.
