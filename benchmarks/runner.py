@@ -26,16 +26,17 @@ from repm_qgis.stages.parameters import ENGINE, EngineParameters
 ROOT = Path(__file__).resolve().parents[1]
 CORES = cores()
 Item = TypeVar("Item")
-_settings = {"quick": False}
+_QUICK = "REPM_BENCH_QUICK"
 
 
 def set_quick(quick: bool) -> None:
-    """From here on, ``few`` returns the first item alone, and simulated images are small."""
-    _settings["quick"] = quick
+    """From here on, ``few`` returns the first item alone, and simulated images are small; in all processes that are
+    begun from here on as well."""
+    os.environ[_QUICK] = "1" if quick else ""
 
 
 def is_quick() -> bool:
-    return _settings["quick"]
+    return os.environ.get(_QUICK) == "1"
 
 
 def few(items: Iterable[Item]) -> List[Item]:

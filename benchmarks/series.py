@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Dict, List, Sequence
 
 import numpy as np
 import pyproj
 
-from benchmarks.runner import alone, few, say, stage, there
+from benchmarks.runner import alone, few, is_quick, say, stage, there
 from benchmarks.tables import Section, table
 from repm_qgis.contracts.stages import SERIES
 from repm_qgis.imagery import raster
@@ -152,7 +152,7 @@ def accuracy() -> List[str]:
 
 def cost() -> List[str]:
     rows = []
-    for case in few(LARGE):
+    for case in [replace(LARGE[0], name="6 dates, 0.09 Mcells", side=300)] if is_quick() else LARGE:
         with tempfile.TemporaryDirectory() as folder:
             found = alone(follow, written(case, folder))
         rows.append([case.name, found.cpu_s, found.mib])
