@@ -14,10 +14,12 @@ from pathlib import Path
 from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
+from osgeo import gdal
 from scipy import ndimage
 
-from benchmarks.runner import ROOT, earlier, few, made_by, pipeline, say, stage
+from benchmarks.runner import ROOT, earlier, few, is_quick, made_by, pipeline, say, stage
 from benchmarks.scenes import CACHE, SHARED, default, made_once, real
+from benchmarks.scoring import bounds_of
 from benchmarks.simulated.dates import WORLDVIEW3_JACKSONVILLE, DatedSpec, make_dated_scene
 from benchmarks.simulated.parameters import DATED, REAL, EffectParameters
 from benchmarks.tables import Section, table
@@ -52,9 +54,10 @@ _STEP_M, _WINDOW_M = 3.0, 2.5  # a wall: the truth's heights differ by so much w
 
 
 def _names() -> List[str]:
-    """The images' numbers in the order of their dates."""
+    """The images' numbers in the order of their dates; of a quick run, the first four."""
     with open(_FOLDER / "acquisitions.csv", encoding="utf-8", newline="") as stream:
-        return [row["image"].split("_")[2] for row in csv.DictReader(stream)]
+        names = [row["image"].split("_")[2] for row in csv.DictReader(stream)]
+    return names[: 4 if is_quick() else None]
 
 
 def _images(names: Sequence[str]) -> List[str]:
@@ -197,6 +200,17 @@ def _aligned_otherwise(dsm: str, by: float) -> List[List[float]]:
         return [_c1_mae_rmse(warper.read(grid, alignment) - heights) for alignment in moved]
 
 
+def _area() -> Dict[str, object]:
+    """Options of the pipeline for a quick run: a quarter of the lidar's area, in its middle."""
+    if not is_quick():
+        return {}
+    dataset = gdal.Open(_LIDAR.heights)
+    west, south, east, north = bounds_of(dataset)
+    x, y = (east - west) / 4, (north - south) / 4
+    crs = f"EPSG:{dataset.GetSpatialRef().GetAuthorityCode(None)}"
+    return {"extent": [west + x, south + y, east - x, north - y], "extent_crs": crs}
+
+
 def limits() -> List[str]:
     if not _FOLDER.exists():
         return [f"jax_068 was not measured: absent from '{SHARED}'."]
@@ -210,7 +224,7 @@ def limits() -> List[str]:
     for label, chosen in sets.items():
         say(f"limits, {label} ...")
         with tempfile.TemporaryDirectory() as folder:
-            dsm = _made(_images(chosen), folder)[0]
+            dsm = _made(_images(chosen), folder, **_area())[0]
             errors[label] = score_files(dsm, _LIDAR.heights, "3d").error
             spread = spread or _aligned_otherwise(dsm, 0.15)
     whole, *halves = errors.values()
@@ -249,7 +263,7 @@ def chance() -> List[str]:
     if not _FOLDER.exists():
         return [f"jax_068 was not measured: absent from '{SHARED}'."]
     names, rows = _names(), []
-    for label, chosen, count in (("2", names[:2], 8), ("3, January", list(_JANUARY), 8), ("19", names, 4)):
+    for label, chosen, count in few((("2", names[:2], 8), ("3, January", list(_JANUARY), 8), ("19", names, 4))):
         say(f"chance, {label} ...")
         runs = np.array([_run(chosen, contrast) for contrast in few(_CONTRASTS[:count])])
         figures = zip(runs.mean(axis=0), runs.std(axis=0), runs.min(axis=0), runs.max(axis=0))
@@ -272,14 +286,14 @@ def quality() -> List[str]:
     """Each value of QUALITY on real and simulated scenes."""
     cases: List[Tuple[str, List[str], str, str]] = []
     if _FOLDER.exists():
-        for label, names in (("6 images", _names()[:6]), ("3, January", _JANUARY)):
+        for label, names in (("6 images", _names()[:6]), ("3, January", list(_JANUARY))):
             images = _images(names)
             cases.append((f"`jax_068`, {label}", images, _LIDAR.heights, "3d"))
     scenes = [*real("truth_urban", "pleiades_pair"), default("urban", 800, 4), default("mountains", 400, 7)]
     cases += [(f"`{scene.name}`", list(scene.images), scene.reference, "cells") for scene in scenes]
     rows = []
     for label, images, reference, align in few(cases):
-        for value in QUALITIES:
+        for value in few(QUALITIES):
             say(f"{label}, {value} ...")
             with tempfile.TemporaryDirectory() as folder:
                 dsm, cost = _made(images, folder, quality=value)
@@ -317,6 +331,8 @@ def _simulated_scene(name: str, dates: int, changes: Dict[str, Any]) -> Path:
     Only scenes of equally many dates show the same town.
     """
     spec = DatedSpec(acquisitions=WORLDVIEW3_JACKSONVILLE[:dates])
+    if is_quick():
+        dates, spec = 2, replace(spec, side_m=128.0, acquisitions=spec.acquisitions[:2])
     every = replace(DATED, effects=replace(REAL, **changes))
     folder = CACHE / f"district_{dates}_{name.replace(' ', '_').replace(',', '')}"
     return made_once(folder, lambda: make_dated_scene(spec, str(folder), Silent(), every))
