@@ -203,7 +203,7 @@ def whu() -> List[str]:
     rows: List[List[object]] = []
     with tempfile.TemporaryDirectory() as place:
         trees = [("now", ROOT)]
-        for revision in BEFORE:
+        for revision in few(BEFORE):
             folder = Path(place, revision)
             folder.mkdir()
             tree = earlier(revision, folder)
@@ -244,7 +244,7 @@ def _both(whole: np.ndarray, part: np.ndarray) -> List[float]:
 
 
 def more() -> List[str]:
-    sets = few([part for part in west().items() if len(part[1]) > 2])
+    sets = few(sorted((part for part in west().items() if len(part[1]) > 2), key=lambda part: len(part[1])))
     if not sets:
         return [f"jax_068 was not measured: absent from '{SHARED}'."]
     short, rows = [], []
