@@ -224,7 +224,7 @@ def limits() -> List[str]:
     for label, chosen in sets.items():
         say(f"limits, {label} ...")
         with tempfile.TemporaryDirectory() as folder:
-            dsm = _made(_images(chosen), folder, **_area())[0]
+            dsm = _made(_images(chosen), folder, ROOT, **_area())[0]
             errors[label] = score_files(dsm, _LIDAR.heights, "3d").error
             spread = spread or _aligned_otherwise(dsm, 0.15)
     whole, *halves = errors.values()
