@@ -90,7 +90,7 @@ def _shifts() -> List[str]:
         with tempfile.TemporaryDirectory() as folder:
             cloud, moved = f"{folder}/lidar.laz", f"{folder}/moved.tif"
             _lidar(case.reference, cloud)
-            for name, reference in (("raster", case.reference), ("lidar points", cloud)):
+            for name, reference in few((("lidar points", cloud), ("raster", case.reference))):
                 for method in ("3d", "icp"):
                     say(f"solids: {case.name}, {name}, {method}")
                     base = alone(found_shift, case.dsm, reference, method)

@@ -26,12 +26,16 @@ from repm_qgis.simulation.surface import Ground, interpolate
 from repm_qgis.simulation.town import Town
 from repm_qgis.stages.parameters import ENGINE, EngineParameters
 
-_HALF_M = 150.0  # of the square in the middle of a scene in which points are compared
 _STEP_M = 0.125  # between samples of walls, up and along
 _TALL_M, _END_M = 3.0, 1.0  # walls that count, and what is left out at their ends, where roof and ground are as near
 _FAR_M = 6.0  # beyond which no wall is looked for
 _SIDES = (Look(27.0, 0.5, 8.0), Look(17.0, 0.5, 8.0), Look(-14.0, 0.5, -16.0), Look(-24.0, 0.5, -16.0))
 _WALL_M = SIMULATION.town.wall_m
+
+
+def half_m() -> float:
+    """Half the side of the square in the middle of a scene in which points are compared."""
+    return 40.0 if is_quick() else 150.0
 
 
 class _Truth:
@@ -41,7 +45,7 @@ class _Truth:
         self._nodes = nodes = Ground.empty(surface_bounds(spec, make_views(spec)), spec.cell_m / spec.surface_step)
         Town(nodes, spec.base_m, spec.seed, Silent(), SIMULATION.town).build()
         self._middle = middle
-        reach = _HALF_M + 2 * _FAR_M
+        reach = half_m() + 2 * _FAR_M
         col, row = (int((middle[0] - nodes.west) / nodes.cell), int((nodes.north - middle[1]) / nodes.cell))
         half = int(reach / nodes.cell)
         first = np.array([row - half, col - half])
@@ -69,7 +73,7 @@ class _Truth:
 
     def inside(self, points: np.ndarray) -> np.ndarray:
         """Which points are compared."""
-        return np.all(np.abs(points[:, :2] - self._middle) < _HALF_M, axis=1)
+        return np.all(np.abs(points[:, :2] - self._middle) < half_m(), axis=1)
 
     def samples(self, half_m: float, count: int) -> Dict[str, np.ndarray]:
         """So many places (N, 3) on tall walls, and on the surface between them, in a square about the middle."""
@@ -102,14 +106,14 @@ class Town3d:
     truth: _Truth
 
 
-def _made(name: str, scene: Scene, spec: SceneSpec) -> Town3d:
+def _made(name: str, scene: Scene) -> Town3d:
     folder = answers_dtm._dsm(scene.name, scene.images, 0.5)
     found = score_files(str(folder / "dsm.tif"), scene.reference, "3d").alignment
     with opened(scene.reference) as dataset:
         west, cell, _, north, _, _ = dataset.GetGeoTransform()
         middle = west + cell * dataset.RasterXSize / 2, north - cell * dataset.RasterYSize / 2
     shift = np.array([found.dx, found.dy, found.dz])
-    return Town3d(name, str(folder / "w" / "reconstructed.json"), shift, _Truth(spec, middle))
+    return Town3d(name, str(folder / "w" / "reconstructed.json"), shift, _Truth(scene.made, middle))
 
 
 def towns() -> List[Callable[[], Town3d]]:
@@ -118,8 +122,8 @@ def towns() -> List[Callable[[], Town3d]]:
     sides = replace(steep, size=1000, sensor=replace(PLEIADES, looks=_SIDES))
     names = "town, 4 views of 16 to 29 degrees, two from each side", "town, 3 views of 0 and 12 degrees"
     made = [
-        lambda: _made(names[0], simulated("urban_sides_4", sides), sides),
-        lambda: _made(names[1], simulated("urban_4", steep), steep),
+        lambda: _made(names[0], simulated("urban_sides_4", sides)),
+        lambda: _made(names[1], simulated("urban_4", steep)),
     ]
     return made[1:] if is_quick() else made
 
@@ -175,7 +179,7 @@ def walls() -> List[str]:
     )
     unchanged = "The DSMs are the same, byte for byte." if same else "The DSMs differ."
     return [
-        f"**Walls in the cloud.** Simulated towns, the square of {2 * _HALF_M:g} m in their middle. The truth has "
+        f"**Walls in the cloud.** Simulated towns, the square of {2 * half_m():g} m in their middle. The truth has "
         f"vertical walls between its nodes, of trees too. A point belongs to a facade where a wall of {_TALL_M:g} m or "
         f"more is nearer than the surface over or below the point, but for {_END_M:g} m at the wall's ends. "
         + unchanged,
