@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 from typing import Dict, List, Sequence, Tuple
 
@@ -52,6 +51,7 @@ DSMS: Dict[str, Tuple[int, Tuple[int, ...]]] = {
     "same_2": (0, (3, 4)),
 }
 """Each DSM: of which date, and of which of its images."""
+_QUICK = {"before": (0, (1, 3)), "after": (1, (1, 3))}
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ def spec_of(size: int, seed: int, date: int) -> SceneSpec:
 def dates(size: int, seed: int) -> Dates:
     """The town with its DSMs, in the cache under its seed and size."""
     folder = images = images_of(size, seed)
-    for name, (date, numbers) in islice(DSMS.items(), 2 if is_quick() else None):
+    for name, (date, numbers) in (_QUICK if is_quick() else DSMS).items():
         made_once(folder / name, lambda: _reconstruct(images, folder / name, date, numbers))  # noqa: B023 - runs now
     return Dates(folder)
 
@@ -190,6 +190,8 @@ def _simulate(folder: Path, size: int, seed: int) -> None:
         biases = pointing_errors(len(fits), seed + 50 * date)
         for number, (view, fit, bias) in enumerate(zip(views[date], fits, biases), start=1):
             path = str(folder / f"date_{date}_{number}.tif")
+            if is_quick() and number not in (1, 3):
+                continue
             write_image(
                 path,
                 view,
