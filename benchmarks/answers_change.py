@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import List, Sequence, Tuple
 
@@ -167,7 +168,8 @@ def _real() -> List[str]:
     if not _TOWN.exists():
         return [f"jax_068 was not measured: absent from '{SHARED}'."]
     folders = {}
-    for name, numbers in _VIEWS.items():
+    for name, numbers in islice(_VIEWS.items(), 2 if is_quick() else None):
+        numbers = " ".join(numbers.split()[: 2 if is_quick() else None])
         folder = CACHE / f"change_{numbers.replace(' ', '_')}"
         images = [str(_TOWN / f"JAX_068_{number}_RGB.tif") for number in numbers.split()]
         folders[name] = made_once(folder, lambda: _dsm(images, folder))  # noqa: B023 - runs now
@@ -183,9 +185,9 @@ def _real() -> List[str]:
                 moved = f"{result.dx:+.2f}, {result.dy:+.2f}, {result.dz:+.2f}"
                 label = "with confidences" if stated else "without"
                 rows.append([f"{first}; {other}", label, moved, result.level_m, len(found), sum(areas)])
-    headers = "views of both DSMs (five each) | DSMs | moved by, m | level, m | changes | their area, m2"
+    headers = "views of both DSMs | DSMs | moved by, m | level, m | changes | their area, m2"
     return [
-        "Real DSMs of `jax_068` (WorldView-3, 8 bit, cells of 0.5 m) from disjoint sets of five views. The first two "
+        "Real DSMs of `jax_068` (WorldView-3, 8 bit, cells of 0.5 m) from disjoint sets of five views (two in a quick run). The first two "
         "sets are of the same four months, so almost nothing changed but cars and leaves; the third is of half a year "
         "later.",
         table(headers, rows),
