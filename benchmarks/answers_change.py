@@ -187,9 +187,9 @@ def _real() -> List[str]:
                 rows.append([f"{first}; {other}", label, moved, result.level_m, len(found), sum(areas)])
     headers = "views of both DSMs | DSMs | moved by, m | level, m | changes | their area, m2"
     return [
-        "Real DSMs of `jax_068` (WorldView-3, 8 bit, cells of 0.5 m) from disjoint sets of five views (two in a quick run). The first two "
-        "sets are of the same four months, so almost nothing changed but cars and leaves; the third is of half a year "
-        "later.",
+        "Real DSMs of `jax_068` (WorldView-3, 8 bit, cells of 0.5 m) from disjoint sets of five views (two in a quick "
+        "run). The first two sets are of the same four months, so almost nothing changed but cars and leaves; the "
+        "third is of half a year later.",
         table(headers, rows),
     ]
 
