@@ -18,7 +18,7 @@ SHARED := --numprocesses logical --maxprocesses 2 --dist loadfile --no-loadscope
 test: setup ## the test suite without its long and slow tests, in two processes where there are two cores (TESTS=tests/engine for all tests of a part)
 	@QT_QPA_PLATFORM=offscreen $(PYTHON) -m pytest -p no:pytest_qgis $(SHARED) $(or $(TESTS),-m 'not slow and not long' tests)
 
-test-most: setup ## these and the long tests, as '.ci/run' does: whole runs, the desktop, browsers
+test-most: setup ## these and the long tests: whole runs, the desktop, browsers
 	@$(MAKE) --no-print-directory test TESTS="-m 'not slow' tests"
 
 test-slow: setup ## the slow tests alone: half of the whole time

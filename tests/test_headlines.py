@@ -17,28 +17,29 @@ HEADLINES = DOCS / "benchmarks.md"
 _REVISION = re.compile(r"\b(?=[0-9]*[a-f])(?=[a-f]*[0-9])[0-9a-f]{7,40}\b")
 
 
-def sections(page: pathlib.Path) -> dict[str, str]:
-    """The text below each heading of the second level, by the heading."""
+def sections(page: pathlib.Path) -> list[tuple[str, str]]:
+    """The headings of the second level, each with the text below it."""
     parts = re.split(r"(?m)^## (.+)\n", page.read_text(encoding="utf-8"))[1:]
-    return dict(zip(parts[::2], parts[1::2]))
+    return list(zip(parts[::2], parts[1::2]))
 
 
 def rows(text: str) -> list[str]:
     """The rows of the tables of a text, without their heads."""
     lines = text.splitlines()
     heads = {at - 1 for at, line in enumerate(lines) if re.match(r"\|[-|]+$", line)}
-    return [line for at, line in enumerate(lines) if line.startswith("| ") and at not in heads]
+    return [line for at, line in enumerate(lines) if line.startswith("|") and at not in heads and at - 1 not in heads]
 
 
 @functools.lru_cache(maxsize=1)
 def figures() -> dict[str, str]:
     """What must name a command and a revision: by where it stands, the text that does."""
-    found = {f"README.md: {row[:40]}": row for row in rows(sections(README)["Measured, beside S2P and CARS"])}
-    for title, text in sections(HEADLINES).items():
+    measured = next(text for title, text in sections(README) if title == "Measured, beside S2P and CARS")
+    found = {f"README.md, row {number}: {row[:40]}": row for number, row in enumerate(rows(measured))}
+    for place, (title, text) in enumerate(sections(HEADLINES)):
         if title.startswith("More"):
-            found.update({f"benchmarks.md: {row[:60]}": row for row in rows(text)})
+            found.update({f"benchmarks.md, {place}.{n}: {row[:60]}": row for n, row in enumerate(rows(text))})
         else:
-            found[f"benchmarks.md: {title}"] = text.strip().split("\n\n")[0]
+            found[f"benchmarks.md, {place}: {title}"] = text.strip().split("\n\n")[0]
     for page in sorted((DOCS / "benchmarks").glob("*.md")):
         found[f"benchmarks/{page.name}"] = page.read_text(encoding="utf-8").split("\n\n")[1]
     return found

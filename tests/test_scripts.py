@@ -173,7 +173,7 @@ PLAIN = ["Fix three wrong warnings", "Process empty tiles", "Embed the font", "R
 REFUSED = {
     "": "Give the commit a subject",
     "Fix " + "x" * 69: "Shorten the subject from 73 to 72 characters",
-    "Fix the warning.": "Leave out the full stop",
+    "Fix the warning.": "without a full stop",
     "Fix the warning; add a test": "one plain statement",
     "Demo: print MEDAE": "one plain statement",
     "fix the warning": "capitalised verb",

@@ -227,15 +227,20 @@ class FusedSurface(Result):
         float, Meaning("cells with a height, of those that two images see, %", "Cells with a height (%)")
     ]
     matched: Annotated[int, Meaning("cells whose height was matched")]
-    background: Annotated[int, Meaning("cells of all other sources but interpolation")]
+    background: Annotated[
+        int, Meaning("cells with heights of other sources: occlusions, shadows, neighbouring cells, water")
+    ]
     interpolated: Annotated[int, Meaning("cells whose height is interpolated")]
     points: Annotated[int, Meaning("points of the cloud")]
-    removed: Annotated[int, Meaning("cells that were outliers")]
+    removed: Annotated[int, Meaning("cells left out because their heights disagree")]
     resolution: Annotated[float, Meaning("side of a cell in units of the CRS")]
     crs: Annotated[str, Meaning("the CRS of the DSM")]
     dem_offset: Annotated[
         Optional[Dict[str, Any]],
-        Meaning("how far the DSM lies above the DEM of the scene, m, with its standard deviation; none without one"),
+        Meaning(
+            "how far the DSM lies above the DEM of the scene: `up_m` with `deviation_m`, and at most `most_m` to be "
+            "expected; none without a DEM"
+        ),
     ]
     needles: Annotated[int, Meaning("cells of spikes and pits that were removed")]
     water: Annotated[int, Meaning("bodies of water, where they were asked for")]
@@ -358,27 +363,27 @@ class EditDsmResult(Result):
 class HeightAccuracy(Result):
     """Errors of heights of one set of cells, m; None where there is none to compare."""
 
-    rmse: Annotated[Figure, Meaning("root of the mean squared error; a few gross errors dominate it", "RMSE (m)")]
+    rmse: Annotated[Figure, Meaning("root of the mean squared error, m; a few gross errors dominate it", "RMSE (m)")]
     medae: Annotated[
         Figure,
         Meaning(
-            'the median of abs(e) (the "median error" ME of the method\'s paper, not the bias): half of the cells are '
-            "better",
+            'the median of abs(e) (the "median error" ME of the method\'s paper, not the bias), m: half of the cells '
+            "are better",
             "Median absolute error (m)",
         ),
     ]
-    mae: Annotated[Figure, Meaning("mean of abs(e)", "Mean absolute error (m)")]
+    mae: Annotated[Figure, Meaning("mean of abs(e), m", "Mean absolute error (m)")]
     nmad: Annotated[
         Figure,
         Meaning(
-            "1.4826 median(abs(e − median(e))): the spread of most cells, without bias",
+            "1.4826 median(abs(e − median(e))), m: the spread of most cells, without bias",
             "Normalised median absolute deviation (m)",
         ),
     ]
     le90: Annotated[
         Figure,
         Meaning(
-            "the error that nine of ten cells do not exceed, with the bias and gross errors: "
+            "the error that nine of ten cells do not exceed, m, with the bias and gross errors: "
             "[as contracts ask](../method.md#le90-and-ce90)",
             "LE90 (m): nine of ten heights are off by no more",
         ),
@@ -393,7 +398,7 @@ class HeightAccuracy(Result):
     bias: Annotated[Figure, Meaning("mean of e, m")]
     valid: Annotated[float, Meaning("% of the reference's cells where the DSM has a height")]
     completeness_by_threshold: Annotated[Dict[str, float], Meaning("the completeness at each threshold, %")]
-    cells: Annotated[int, Meaning("cells of the reference")]
+    cells: Annotated[int, Meaning("cells that were compared")]
 
 
 @dataclass(frozen=True)
@@ -512,24 +517,42 @@ class CheckGcpsResult(Result):
         Meaning("the same by corrected RPCs, m", "MedAE of heights by RPCs with image-space compensation (m)"),
     ]
     compensated_rmse: Annotated[
-        Figure, Meaning("the same, m", "RMSE of heights by RPCs with image-space compensation (m)")
+        Figure, Meaning("by corrected RPCs: their RMSE, m", "RMSE of heights by RPCs with image-space compensation (m)")
     ]
     compensated_le90: Annotated[
-        Figure, Meaning("the same, m", "LE90 of heights by RPCs with image-space compensation (m)")
+        Figure,
+        Meaning(
+            "by corrected RPCs: the error that nine of ten points do not exceed, m",
+            "LE90 of heights by RPCs with image-space compensation (m)",
+        ),
     ]
     compensated_max: Annotated[
-        Figure, Meaning("the same, m", "Max of heights by RPCs with image-space compensation (m)")
+        Figure,
+        Meaning("by corrected RPCs: the largest error, m", "Max of heights by RPCs with image-space compensation (m)"),
     ]
     scene_medae: Annotated[
         Figure, Meaning("the same by the scene's pointing, m", "MedAE of heights by the scene's pointing (m)")
     ]
-    scene_rmse: Annotated[Figure, Meaning("the same, m", "RMSE of heights by the scene's pointing (m)")]
-    scene_le90: Annotated[Figure, Meaning("the same, m", "LE90 of heights by the scene's pointing (m)")]
-    scene_max: Annotated[Figure, Meaning("the same, m", "Max of heights by the scene's pointing (m)")]
+    scene_rmse: Annotated[
+        Figure, Meaning("by the scene's pointing: their RMSE, m", "RMSE of heights by the scene's pointing (m)")
+    ]
+    scene_le90: Annotated[
+        Figure,
+        Meaning(
+            "by the scene's pointing: the error that nine of ten points do not exceed, m",
+            "LE90 of heights by the scene's pointing (m)",
+        ),
+    ]
+    scene_max: Annotated[
+        Figure, Meaning("by the scene's pointing: the largest error, m", "Max of heights by the scene's pointing (m)")
+    ]
     dsm_medae: Annotated[Figure, Meaning("the same by the DSM, m", "MedAE of heights by the DSM (m)")]
-    dsm_rmse: Annotated[Figure, Meaning("the same, m", "RMSE of heights by the DSM (m)")]
-    dsm_le90: Annotated[Figure, Meaning("the same, m", "LE90 of heights by the DSM (m)")]
-    dsm_max: Annotated[Figure, Meaning("the same, m", "Max of heights by the DSM (m)")]
+    dsm_rmse: Annotated[Figure, Meaning("by the DSM: their RMSE, m", "RMSE of heights by the DSM (m)")]
+    dsm_le90: Annotated[
+        Figure,
+        Meaning("by the DSM: nine of ten points are off by no more, m", "LE90 of heights by the DSM (m)"),
+    ]
+    dsm_max: Annotated[Figure, Meaning("by the DSM: the largest error, m", "Max of heights by the DSM (m)")]
     rpc_ce90: Annotated[
         Figure,
         Meaning(
@@ -561,7 +584,7 @@ class Tiles3dResult(Result):
 
     tiles3d: str
     tileset: Annotated[
-        str, Meaning("the file in it that programs open, `tileset.json`", "The file to open: tileset.json", FILE)
+        str, Meaning("the file in TILES3D that programs open, `tileset.json`", "The file to open: tileset.json", FILE)
     ]
     tiles: Annotated[int, Meaning("tiles of all levels")]
     vertices: Annotated[Optional[int], Meaning("vertices of a surface")]

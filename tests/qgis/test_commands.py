@@ -29,15 +29,19 @@ ALONE = [
     *(ROOT / "docs" / "de" / f"{name}.md" for name in ("guide", "tutorial")),
 ]
 ELSEWHERE = {
-    r"^make (demo|test)\b": "make demo|make .*test",
-    r"pip install \.|python3 -m venv .*repm-env": "front-door",
+    r"make (demo|test)( +#.*)?": "make demo|make .*test",
+    r"(repm-env/bin/)?pip install \.( +#.*)?|python3 -m venv --system-site-packages repm-env( +#.*)?": "front-door",
 }
 """Commands that '.ci/run' runs itself: what they look like, and what the script then has."""
 NEED_MORE = {
-    r"colmap \w+|cd export/|mkdir triangulated": "COLMAP's own program is not here",
-    r"pip (uninstall|install) .*pycolmap": "it exchanges a package of this checkout, and needs a GPU",
+    r"colmap \w+ .*|cd export/\w+|mkdir triangulated": "COLMAP's own program is not here",
+    r"\.venv/bin/python -m pip (uninstall|install) .*pycolmap.*": "it exchanges a package, and needs a GPU",
 }
 """Commands that do not run here, with the reason, which the test prints."""
+
+
+_NO_COMMANDS = ("python", "json", "text")
+"""Kinds of fenced blocks that show parts of programs or files."""
 
 
 class Block(NamedTuple):
@@ -53,8 +57,13 @@ def blocks(page: pathlib.Path) -> List[Block]:
 
 
 def blocks_of(text: str, name: str = "") -> List[Block]:
-    """The indented blocks, and the fenced ones that name no other language than a shell's."""
-    fenced = re.findall(r"(?ms)^```(\w*)\n(.*?)^```", text)
+    """The indented blocks, and the fenced ones; raises ValueError for a fence whose kind nobody knows."""
+    fenced = re.findall(r"(?ms)^```([^\n]*)\n(.*?)^```", text)
+    for kind, _ in fenced:
+        if kind not in ("", "sh", *_NO_COMMANDS):
+            raise ValueError(f"a block of the kind '{kind}' is neither run nor known to hold no commands")
+    if "~~~" in text:
+        raise ValueError("a block between tildes is not read: put it between backticks")
     text = re.sub(r"(?ms)^```.*?^```", "", text)
     indented = re.findall(r"(?m)(?:^    .*\n)+(?:\n?(?:^    .*\n)+)*", text)
     found = [re.sub(r"(?m)^    ", "", each) for each in indented] + [
@@ -92,7 +101,7 @@ def files_of(command: str) -> Files:
 
 
 def reason_of(command: str, reasons: Dict[str, str]) -> str:
-    return next((reason for pattern, reason in reasons.items() if re.search(pattern, command)), "")
+    return next((reason for pattern, reason in reasons.items() if re.fullmatch(pattern, command)), "")
 
 
 @pytest.fixture(scope="module")
