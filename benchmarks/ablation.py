@@ -255,6 +255,7 @@ def more() -> List[str]:
             made = SceneFile.load(pipeline(scene.images, folder, resolution=scene.resolution).scene)
             pairs = sorted({record.pair for tile in made.tiles for record in tile.heights})
             whole = _error(made, pairs, scene, folder)
+            pairs = few(pairs)
             found = [_both(whole, _error(made, [pair], scene, folder)) for pair in pairs]
         gains = np.array([[c1 - own_c1, own_rmse - rmse] for c1, rmse, own_c1, own_rmse in found])
         counts = [f"{int((column > 0).sum())} of {len(pairs)}" for column in gains.T]

@@ -8,7 +8,7 @@ from typing import List, Tuple
 import numpy as np
 from osgeo import gdal
 
-from benchmarks.runner import few, pipeline, say
+from benchmarks.runner import few, is_quick, pipeline, say
 from benchmarks.scenes import CACHE, SHARED, made_once
 from benchmarks.tables import Section, table
 from benchmarks.water_and_clouds import DARK, LAND, WATER, make_pair
@@ -35,6 +35,11 @@ _DRY = {
 }
 
 
+def _size() -> int:
+    """px of a side."""
+    return 620 if is_quick() else _SIZE
+
+
 def _made(images: List[str], folder: Path) -> PipelineResult:
     return pipeline(images, folder, resolution=0.5, workers=1, water="flatten", water_mask=f"{folder}/water.tif")
 
@@ -49,10 +54,11 @@ def _on(path: Path, truth: gdal.Dataset, nodata: float) -> np.ndarray:
 
 
 def _wet(kind: str, seed: int, what: str) -> List[List[object]]:
-    folder, river, xs = CACHE / f"water_{kind}_{seed}_{what.replace(', ', '_')}_{_SIZE}", what == "river", "XS" in what
+    folder = CACHE / f"water_{kind}_{seed}_{what.replace(', ', '_')}_{_size()}"
+    river, xs = what == "river", "XS" in what
 
     def simulate() -> None:
-        made = make_pair(str(folder), kind, _SIZE, seed=seed, clouds=not river, river=river, xs=xs)
+        made = make_pair(str(folder), kind, _size(), seed=seed, clouds=not river, river=river, xs=xs)
         np.save(folder / "classes.npy", made.classes)
         _made(made.images, folder)
 
@@ -106,7 +112,7 @@ def water() -> List[str]:
     wet = [row for case in few(_WET) for row in _wet(*case)]
     dry, absent = _dry()
     return [
-        f"Simulated pairs of {_SIZE} px with three or four lakes and two clouds, or with a river that falls by 8 m "
+        f"Simulated pairs of {_size()} px with three or four lakes and two clouds, or with a river that falls by 8 m "
         "(`benchmarks/water_and_clouds.py`), with WATER=flatten. *Found*: the share of the true water. *Level*: found "
         "minus true, as 5, 50 and 95 % quantiles, after the median error of land is taken off; shores are half a metre "
         "and more above the water; it is left open where a cloud hides too much of the shore. *Land*: the share of "
@@ -121,11 +127,11 @@ def water() -> List[str]:
 
 def _patches(kind: str, seed: int, lakes: bool) -> List[List[object]]:
     """What share of dark patches, of lakes and of other land is taken for water, with XS and without."""
-    name = f"dark_{kind}_{seed}{'_lakes' * lakes}_{_SIZE}"
+    name = f"dark_{kind}_{seed}{'_lakes' * lakes}_{_size()}"
     folder, made = CACHE / name, CACHE / f"{name}_water"
 
     def simulate() -> None:
-        pair = make_pair(str(folder), kind, _SIZE, seed=seed, water=lakes, clouds=False, xs=True, dark=True)
+        pair = make_pair(str(folder), kind, _size(), seed=seed, water=lakes, clouds=False, xs=True, dark=True)
         np.save(folder / "classes.npy", pair.classes)
 
     def measure() -> None:
@@ -151,7 +157,7 @@ def dark() -> List[str]:
     say("water: dark patches of dry ground")
     rows = [row for case in few(_PATCHES) for row in _patches(*case)]
     return [
-        f"Simulated pairs of {_SIZE} px, without clouds, with two dark patches of 0.4 ha that have no texture: shade "
+        f"Simulated pairs of {_size()} px, without clouds, with two dark patches of 0.4 ha that have no texture: shade "
         "on ground of one colour, and tarmac in the sun (`benchmarks/water_and_clouds.py`). Per cent of each that is "
         "taken for water.",
         table("pair | images | shade | tarmac | still water | ripples | glint | murky | other land", rows),
