@@ -11,6 +11,7 @@ from typing import List, Sequence, Tuple
 import numpy as np
 from osgeo import ogr
 
+from benchmarks import towns
 from benchmarks.runner import few, is_quick, pipeline, say, stage
 from benchmarks.scenes import CACHE, SHARED, made_once
 from benchmarks.tables import Details, table
@@ -195,7 +196,7 @@ def _real() -> List[str]:
 
 
 def _dsm(images: Sequence[str], folder: Path) -> None:
-    pipeline(images, folder, confidence=f"{folder}/confidence.tif", resolution=0.5)
+    pipeline(images, folder, confidence=f"{folder}/confidence.tif", resolution=0.5, **towns.quick_area())
 
 
 def change() -> List[str]:

@@ -13,6 +13,7 @@ import numpy as np
 from osgeo import gdal
 from scipy import ndimage
 
+from benchmarks import towns
 from benchmarks.colour_scene import WEIGHTS, make_colour_scene
 from benchmarks.runner import ROOT, is_quick, measured, pipeline, stage, there
 from benchmarks.scenes import CACHE, SHARED, made_once, quick_size
@@ -100,9 +101,9 @@ def _against_truth(made: Dict[str, str], truth: str) -> List[List[object]]:
 
 
 def _town() -> List[str]:
-    images = sorted(str(path) for path in _TOWN.glob("*_RGB.tif"))[: 3 if is_quick() else None]
+    images = sorted(str(path) for path in _TOWN.glob("*_RGB.tif"))[: 2 if is_quick() else None]
     with tempfile.TemporaryDirectory() as work:
-        pipeline(images, work, resolution=0.5)
+        pipeline(images, work, resolution=0.5, **towns.quick_area())
         scene = f"{work}/w/reconstructed.json"
         costs, made, cells = [], {}, {"resolution": 0.5, "ortho_resolution": 0.5}
         for colour in ("greys", "auto"):

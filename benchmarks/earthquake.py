@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Dict, List, Optional, Sequence, Tuple
+from typing import Dict, List, Mapping, Optional, Sequence, Tuple
 
 import cv2
 import numpy as np
@@ -26,6 +26,7 @@ from repm_qgis.numerics.robust import nmad
 
 _IMAGES = SHARED / "pleiades_two_dates"
 _CRS = "EPSG:32637"
+_MIDDLE = (315280, 4161640, 315530, 4161890)  # the part of a quick run
 _NEAR_M = 3.0  # of a place: outlines of roofs are off by as much
 
 # By eye, east and north in EPSG:32637.
@@ -49,13 +50,13 @@ Kinds = Sequence[Tuple[str, Sequence[Tuple[int, int]], int]]
 
 @dataclass(frozen=True)
 class Town:
-    """A town: its name in tables, the images of both dates, their CRS (None: its own), and its changes: of each kind
-    the name, places, and whether heights rise (1) or fall (-1)."""
+    """A town: its name in tables, the images of both dates, options of the pipeline, and its changes: of each kind the
+    name, places, and whether heights rise (1) or fall (-1)."""
 
     name: str
     before: Sequence[Path]
     after: Sequence[Path]
-    crs: Optional[str]
+    options: Mapping[str, object]
     changes: Kinds
 
 
@@ -68,7 +69,8 @@ def town() -> Town:
             ("rows of trees that are gone", _TREES, -1),
             ("new or higher buildings", _BUILT, 1),
         )
-        return Town("earthquake", before, after, _CRS, kinds)
+        area = {"extent": _MIDDLE, "extent_crs": _CRS} if is_quick() else {}
+        return Town("earthquake", before, after, {"crs": _CRS, **area}, kinds)
     folder = two_dates.images_of(900, 3)
     before, after = ([folder / f"date_{date}_{number}.tif" for number in (1, 3)] for date in (0, 1))
     places: Dict[int, List[Tuple[int, int]]] = {-1: [], 1: []}
@@ -76,7 +78,7 @@ def town() -> Town:
         middle = ogr.CreateGeometryFromWkt(change.outline).Centroid()
         places[-1 if change.kind == "removed" else 1].append((round(middle.GetX()), round(middle.GetY())))
     kinds = ("buildings that are gone", places[-1], -1), ("new or higher buildings", places[1], 1)
-    return Town("simulated", before, after, None, kinds)
+    return Town("simulated", before, after, {}, kinds)
 
 
 @dataclass(frozen=True)
@@ -93,20 +95,20 @@ def dates(place: Optional[Town] = None) -> Dates:
     place = place or town()
     size = "_quick" * is_quick()
     folders = Dates(*(CACHE / f"{place.name}_{name}{size}" for name in ("before", "after", "change")))
-    made_once(folders.before, lambda: _dsm(place.before, place.crs, folders.before))
+    made_once(folders.before, lambda: _dsm(place.before, place.options, folders.before))
     made_once(folders.after, lambda: _registered(place, folders))
     made_once(folders.change, lambda: _change(folders, folders.change, "none"))
     return folders
 
 
-def _dsm(images: Sequence[Path], crs: Optional[str], folder: Path) -> object:
+def _dsm(images: Sequence[Path], options: Mapping[str, object], folder: Path) -> object:
     made = {"confidence": f"{folder}/confidence.tif", "ortho": f"{folder}/ortho.tif"}
-    return pipeline(list(map(str, images)), folder, resolution=0.5, crs=crs, **made)
+    return pipeline(list(map(str, images)), folder, resolution=0.5, **options, **made)
 
 
 def _registered(place: Town, folders: Dates) -> None:
     folder = folders.after
-    _dsm(place.after, place.crs, folder)
+    _dsm(place.after, place.options, folder)
     scene = f"{folder}/w/registered.json"
     stage(REGISTER, scene=f"{folder}/w/reconstructed.json", reference=[f"{folders.before}/dsm.tif"], output_scene=scene)
     made = {name: f"{folder}/registered_{name}.tif" for name in ("confidence", "ortho")}

@@ -200,7 +200,7 @@ def _aligned_otherwise(dsm: str, by: float) -> List[List[float]]:
         return [_c1_mae_rmse(warper.read(grid, alignment) - heights) for alignment in moved]
 
 
-def _area() -> Dict[str, object]:
+def quick_area() -> Dict[str, object]:
     """Options of the pipeline for a quick run: a quarter of the lidar's area, in its middle."""
     if not is_quick():
         return {}
@@ -224,7 +224,7 @@ def limits() -> List[str]:
     for label, chosen in sets.items():
         say(f"limits, {label} ...")
         with tempfile.TemporaryDirectory() as folder:
-            dsm = _made(_images(chosen), folder, ROOT, **_area())[0]
+            dsm = _made(_images(chosen), folder, ROOT, **quick_area())[0]
             errors[label] = score_files(dsm, _LIDAR.heights, "3d").error
             spread = spread or _aligned_otherwise(dsm, 0.15)
     whole, *halves = errors.values()
