@@ -16,9 +16,10 @@ from scipy import ndimage
 
 from benchmarks.answers_colour import _BLOCK, _CLEAR, _bands, _blocks, _gradient, shift_of
 from benchmarks.colour_scene import make_colour_scene
-from benchmarks.runner import ROOT, measured, pipeline, stage
+from benchmarks.runner import ROOT, is_quick, measured, pipeline, stage
 from benchmarks.scenes import CACHE, SHARED, made_once, quick_size
 from benchmarks.tables import Section, table
+from benchmarks.towns import quick_area
 from repm_qgis.contracts.arrays import Window
 from repm_qgis.contracts.options import DsmFuseOptions
 from repm_qgis.contracts.stages import EXPORTRPC
@@ -149,9 +150,9 @@ def town() -> List[str]:
 
 
 def _reconstructed() -> Tuple[Scene, str]:
-    images = [str(_TOWN / f"JAX_068_{name}_RGB.tif") for name in _IMAGES]
-    folder = CACHE / "orthophoto_jax_068"
-    made_once(folder, lambda: pipeline(images, folder))
+    images = [str(_TOWN / f"JAX_068_{name}_RGB.tif") for name in _IMAGES[: 3 if is_quick() else None]]
+    folder = CACHE / f"orthophoto_jax_068{'_quick' * is_quick()}"
+    made_once(folder, lambda: pipeline(images, folder, **quick_area()))
     return Scene.load(str(folder / "w" / "reconstructed.json")), str(folder / "dsm.tif")
 
 
@@ -332,7 +333,7 @@ def cost() -> List[str]:
     rows = []
     least: Optional[float] = None
     with tempfile.TemporaryDirectory() as work:
-        for name, options in cases:
+        for name, options in cases[: 2 if is_quick() else None]:
             made = {"ortho": f"{work}/ortho.tif"} if options else {}
             job = Path(work, "job.json")
             given = {"scene": str(scene.path), "output": f"{work}/dsm.tif", "workers": 1, **made, **options}

@@ -21,6 +21,7 @@ from benchmarks.runner import ROOT, Cost, few, is_quick, measured, pipeline, sta
 from benchmarks.scenes import CACHE, SHARED, Scene, absent, real, simulated, zy3
 from benchmarks.scoring import difference
 from benchmarks.tables import Section, table
+from benchmarks.towns import quick_area
 from repm_qgis.contracts.arrays import Bounds
 from repm_qgis.contracts.stages import DSMFUSE, REGISTER
 from repm_qgis.evaluation.scoring import score_files
@@ -221,7 +222,7 @@ def town() -> List[str]:
         images = [str(folder / f"JAX_068_{view}_RGB.tif") for view in views]
         with tempfile.TemporaryDirectory() as place:
             for label, more in (("as delivered", {}), ("registered", {"reference": [str(truth)]})):
-                made = pipeline(images, f"{place}/{label}", resolution=0.5, **more)
+                made = pipeline(images, f"{place}/{label}", resolution=0.5, **quick_area(), **more)
                 for how in ("none", "3d"):
                     found = score_files(made.output, str(truth), how)
                     aligned = "3-D aligned" if how == "3d" else ""
@@ -237,7 +238,7 @@ def town() -> List[str]:
 def against_s2p() -> List[str]:
     """The real pair and triplet against S2P's DSM in cells of 30 m."""
     rows = []
-    for scene in real("pleiades_pair", "pleiades_triplet"):
+    for scene in few(real("pleiades_pair", "pleiades_triplet")):
         with tempfile.TemporaryDirectory() as folder:
             coarse = f"{folder}/s2p_30m.tif"
             gdal.Warp(

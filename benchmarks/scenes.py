@@ -10,9 +10,12 @@ import os
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Callable, List, Optional, Sequence
+from typing import Callable, Dict, List, Optional, Sequence
+
+from osgeo import gdal
 
 from benchmarks.runner import ROOT, is_quick, say, there
+from benchmarks.scoring import bounds_of
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.simulation.parameters import SIMULATION, SimulationParameters
 from repm_qgis.simulation.scene import SceneSpec, make_scene
@@ -121,6 +124,14 @@ def whu_tlc() -> List[Scene]:
         if all(os.path.exists(path) for path in (*images, reference)):
             found.append(Scene(f"whu_tlc {block}", images, reference, 5.0, True))
     return found
+
+
+def middle_of(reference: str) -> Dict[str, object]:
+    """Options of the pipeline: the middle quarter of a raster's area."""
+    dataset = gdal.Open(reference)
+    west, south, east, north = bounds_of(dataset)
+    x, y = (east - west) / 4, (north - south) / 4
+    return {"extent": [west + x, south + y, east - x, north - y], "extent_crs": dataset.GetProjection()}
 
 
 def absent(*names: str) -> List[str]:

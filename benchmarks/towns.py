@@ -14,12 +14,10 @@ from pathlib import Path
 from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
-from osgeo import gdal
 from scipy import ndimage
 
 from benchmarks.runner import ROOT, earlier, few, is_quick, made_by, pipeline, say, stage
-from benchmarks.scenes import CACHE, SHARED, default, made_once, real
-from benchmarks.scoring import bounds_of
+from benchmarks.scenes import CACHE, SHARED, default, made_once, middle_of, real
 from benchmarks.simulated.dates import WORLDVIEW3_JACKSONVILLE, DatedSpec, make_dated_scene
 from benchmarks.simulated.parameters import DATED, REAL, EffectParameters
 from benchmarks.tables import Section, table
@@ -201,14 +199,8 @@ def _aligned_otherwise(dsm: str, by: float) -> List[List[float]]:
 
 
 def quick_area() -> Dict[str, object]:
-    """Options of the pipeline for a quick run: a quarter of the lidar's area, in its middle."""
-    if not is_quick():
-        return {}
-    dataset = gdal.Open(_LIDAR.heights)
-    west, south, east, north = bounds_of(dataset)
-    x, y = (east - west) / 4, (north - south) / 4
-    crs = f"EPSG:{dataset.GetSpatialRef().GetAuthorityCode(None)}"
-    return {"extent": [west + x, south + y, east - x, north - y], "extent_crs": crs}
+    """Options of the pipeline for a quick run: a part of the lidar's area."""
+    return middle_of(_LIDAR.heights) if is_quick() else {}
 
 
 def limits() -> List[str]:
