@@ -96,7 +96,8 @@ class View(Record):
     UTC, and ``sensor`` by which satellite (a name of ``imagery/sensors.py``), "" where they are unknown. ``mask`` is a
     raster of the image's size whose pixels that are neither zero nor nodata are not to be used, "" where there is none.
     ``part`` is the window that shows the area of the run, None for the whole image: statistics are taken there.
-    ``content`` is a digest that distinguishes the image from another one with its name, "" where there is none.
+    ``content`` is a digest that distinguishes the image from another one with its name, "" where there is none, and
+    ``stated`` one of the RPC as it was read, "" in scenes of older versions.
     ``plane`` is the map that an ortho-ready image was projected to, None for an image in its sensor's geometry: then
     ``rpc`` gives lines of sight only, and ``model`` the pixels. ``jitter`` are waves of the attitude, which come on top
     of the pointing; None where none are known.
@@ -117,6 +118,7 @@ class View(Record):
     content: str = ""
     plane: Optional[MapPlane] = None
     jitter: Optional[Jitter] = None
+    stated: str = ""
 
     def contradiction(self) -> str:
         turned = abs(np.linalg.det(self.pointing[:, :2]))
@@ -361,7 +363,14 @@ class Scene(Record):
         self.require_same_images()
 
     def require_same_images(self) -> None:
-        """Raise SceneError with images that others have replaced since the scene was made; of those that are there."""
+        """Raise SceneError with images that others have replaced since the scene was made, of those that are there, and
+        for an RPC in the scene that is not the one that was read."""
+        for view in self.views:
+            if view.stated and view.stated != view.rpc.digest:
+                raise SceneError(
+                    f"The RPC of '{view.name}' in the scene '{self.path}' was changed since it was read from "
+                    f"'{view.image}': restore the scene's file, or run {_FIRST_STAGE} again."
+                )
         replaced = ", ".join(f"'{view.image}'" for view in self.views if view.replaced)
         if replaced:
             raise SceneError(
@@ -686,7 +695,7 @@ def load_view(
             )
     content = content_of(path)
     view = View(name, image, band, columns, rows, rpc, gsd, acquired=when, mask=mask, sensor=sensor, content=content)
-    return replace(view, plane=plane)
+    return replace(view, plane=plane, stated=rpc.digest)
 
 
 def middle_of(views: Sequence[View]) -> Tuple[float, float]:

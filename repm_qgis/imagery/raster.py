@@ -18,9 +18,17 @@ from osgeo import gdal
 
 from ..contracts.arrays import AnyArray, FloatImage, Mask, Size, Window
 from ..contracts.errors import ImageError
+from ..contracts.formats import GEOTIFF, Format, raster_format
 from ..files.untrusted import RASTERS, claimed, drivers_for, refusal_of, refusal_of_empty, unlike_an_image
 from ..runtime.shortage import speaks_of_memory
-from ..runtime.workspace import file_identity, file_sample, not_written, take_name, temporary_name
+from ..runtime.workspace import (
+    file_identity,
+    file_sample,
+    not_written,
+    take_name,
+    temporary_folder,
+    temporary_name,
+)
 
 NODATA = -9999.0
 
@@ -118,6 +126,12 @@ def opened(path: str, overviews: bool = True) -> Iterator[gdal.Dataset]:
     try:
         if dataset.RasterCount < 1:
             raise ImageError(f"'{path}' has no raster band: choose the image itself, not a container.")
+        kind = dataset.GetRasterBand(1).DataType
+        if gdal.DataTypeIsComplex(kind):
+            raise ImageError(
+                f"'{path}' has complex pixels ({gdal.GetDataTypeName(kind)}), as radar images have, and no intensities "
+                "or heights: choose an optical image, or convert it to real numbers first."
+            )
         _attempt(dataset.GetProjection)  # GDAL reads what lies beside it; GDAL 3.13 raises an error of damaged XML
         with quiet():
             _require(path, claimed(dataset))
@@ -323,9 +337,10 @@ def created(
     own: bool = False,
     overviews: str = "AVERAGE",
 ) -> Iterator[RasterWriter]:
-    """A new tiled GeoTIFF to fill by window: it gets its name only if the block ends without an error.
+    """A new raster to fill by window, in the format of its name's extension: it gets its name only if the block ends
+    without an error. It is made as a tiled GeoTIFF.
 
-    ``cog``: a cloud optimized GeoTIFF, with overviews and
+    ``cog``: where it stays one, a cloud optimized GeoTIFF, with overviews and
     statistics, for products that people look at; it is a copy of the filled one, because windows may be filled in any
     order. ``own``: for this machine to read again; compressed in a third of the time, where its GDAL has ZSTD.
     ``overviews`` is GDAL's resampling for these; numbers that name something must not be averaged.
@@ -340,6 +355,10 @@ def created(
         if cog:
             writer.set_statistics()
         writer.close()
+        form = raster_format(path)
+        if form.driver != GEOTIFF:
+            _to_format(temporary, path, form)
+            return
         if cog:
             _to_cog(temporary, whole, path, np.dtype(frame.dtype), overviews)
             os.replace(whole, temporary)
@@ -362,6 +381,23 @@ def _to_cog(source: str, target: str, path: str, dtype: np.dtype[np.generic], ov
             return None if made is None else True  # the file is closed here
 
         _require_written(path, _attempt(copy)[1])
+
+
+def _to_format(source: str, path: str, form: Format) -> None:
+    """Copy a raster into another format, with the files that belong to it; all get their names when they are complete.
+
+    Raises WorkspaceError, also where the format does not keep what the raster is: its cells, its place and its datum.
+    """
+    with temporary_folder(path) as folder, opened(source) as dataset:
+        target = os.path.join(folder, os.path.basename(path))
+
+        def copy() -> Optional[bool]:
+            made = gdal.GetDriverByName(form.driver).CreateCopy(target, dataset, options=list(form.options))
+            return None if made is None else True  # the file is closed here
+
+        _require_written(path, _attempt(copy)[1])
+        for name in sorted(os.listdir(folder), key=lambda each: each == os.path.basename(path)):  # itself last
+            take_name(os.path.join(folder, name), os.path.join(os.path.dirname(path), name))
 
 
 def _create(temporary: str, path: str, frame: RasterFrame, *, compress: bool, own: bool) -> gdal.Dataset:

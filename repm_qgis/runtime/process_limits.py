@@ -94,11 +94,14 @@ def keep_freed_memory() -> None:
     mallopt(_TRIM_THRESHOLD, 128 << 20)
 
 
-def bound_cache(megabytes: int = 128) -> None:
-    """Keep GDAL's block cache small: its default takes a twentieth of the machine. For processes of our own only."""
+def prepare_gdal(megabytes: int = 128) -> None:
+    """Keep GDAL's block cache small: its default takes a twentieth of the machine. Its messages come in our exceptions
+    and not on the console, where also those stand of files that are then read in another way. For processes of our own
+    only."""
     from osgeo import gdal
 
     gdal.SetCacheMax(megabytes << 20)
+    gdal.SetErrorHandler("CPLQuietErrorHandler")
 
 
 def prepare_process() -> None:
@@ -108,5 +111,5 @@ def prepare_process() -> None:
     import cv2
 
     cv2.setNumThreads(1)
-    bound_cache(64)
+    prepare_gdal(64)
     reserve_buffers()
