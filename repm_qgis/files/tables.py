@@ -25,10 +25,11 @@ from .vector import open_layer
 _INDEXED = (".gpkg", ".shp", ".fgb", ".sqlite", ".gdb")  # read row by row, and know how many there are
 _DELIMITERS = ",;\t"
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
-_COMMA = re.compile(r"[+-]?\d*,\d+")
-_POINT = re.compile(r"[+-]?\d*\.\d+")
+_UNIT = r"(?:\s*(?:°|º|deg|degrees?))"
+_COMMA = re.compile(rf"[+-]?\d*,\d+{_UNIT}?", re.IGNORECASE)
+_POINT = re.compile(rf"[+-]?\d*\.\d+{_UNIT}?", re.IGNORECASE)
 _SEPARATOR = re.compile(r"sep=(.)\s*", re.IGNORECASE)  # the first line that spreadsheets write and read
-_DEGREES = re.compile(r"(.+?)\s*(?:°|º|deg|degrees?)", re.IGNORECASE)
+_DEGREES = re.compile(rf"(.+?){_UNIT}", re.IGNORECASE)
 _ANGLES = ("lon", "lat", "long", "lng", "longitude", "latitude")
 # What spreadsheets take for a formula, whoever wrote the text (OWASP, CSV injection); a quote makes it a text.
 _FORMULA = re.compile(r"[=+\-@\t\r]")

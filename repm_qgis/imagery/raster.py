@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 from osgeo import gdal
 
-from ..contracts.arrays import AnyArray, FloatImage, Mask, Size, Window
+from ..contracts.arrays import AnyArray, FloatImage, IntArray, Mask, Size, Window
 from ..contracts.errors import ImageError
 from ..contracts.formats import GEOTIFF, Format, raster_format
 from ..files.untrusted import RASTERS, claimed, drivers_for, refusal_of, refusal_of_empty, unlike_an_image
@@ -32,6 +32,7 @@ from ..runtime.workspace import (
 
 NODATA = -9999.0
 
+_STRIP_PX = 1 << 22  # of a mask that are read at once
 _NO_OVERVIEWS = ["OVERVIEW_LEVEL=NONE"] if int(gdal.VersionInfo()) >= 3030000 else []  # older: the first overview alone
 
 COLOURS = (gdal.GCI_RedBand, gdal.GCI_GreenBand, gdal.GCI_BlueBand)
@@ -83,8 +84,30 @@ class MaskedImage:
         return str(self.image.GetDescription())
 
     def excluded(self, window: Optional[Window] = None, size: Optional[Size] = None) -> Mask:
-        """(height, width) what the mask excludes of a window, as :func:`read` takes it."""
-        return np.asarray(np.nan_to_num(read(self.mask, window, 1, size), nan=0.0) != 0)
+        """(height, width) what the mask excludes of a window, as :func:`read` takes it; reduced, what it touches."""
+        if size is None:
+            return np.asarray(np.nan_to_num(read(self.mask, window), nan=0.0) != 0)
+        # GDAL's means of whole numbers are rounded: a tenth of an excluded pixel would count as none.
+        col, row, width, height = window or (0, 0, self.RasterXSize, self.RasterYSize)
+        found = np.zeros(size[::-1], dtype=bool)
+        first, last = _parts(width, size[0])
+        top, bottom = _parts(height, size[1])
+        step = max(1, int(_STRIP_PX * size[1] / max(width * height, 1)))
+        for begin in range(0, size[1], step):
+            end = min(begin + step, size[1])
+            strip = Window(col, row + int(top[begin]), width, int(bottom[end - 1] - top[begin]))
+            counts = np.zeros((strip.height + 1, width + 1), dtype=np.int64)
+            counts[1:, 1:] = self.excluded(strip).cumsum(axis=0).cumsum(axis=1)
+            rows = (edge[begin:end] - top[begin] for edge in (bottom, top))
+            below, above = (counts[each][:, last] - counts[each][:, first] for each in rows)
+            found[begin:end] = below > above
+        return found
+
+
+def _parts(pixels: int, size: int) -> Tuple[IntArray, IntArray]:
+    """(size,) the first pixel of each of so many equal parts of a side, and the one after its last."""
+    edges = np.arange(size + 1) * (pixels / size)
+    return np.floor(edges[:-1] + 1e-9).astype(np.int64), np.ceil(edges[1:] - 1e-9).astype(np.int64)
 
 
 Image = Union[gdal.Dataset, MaskedImage]

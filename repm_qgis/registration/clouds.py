@@ -54,14 +54,16 @@ def read_cloud(
         for part in cloud.parts(crs, common, check):
             others.add(part.xyz)
             ground.add(part.xyz[part.ground])
-        system, use_ground = cloud.system, ground.any()
-        sums = ground if use_ground else others
-        if sums.filled(parameters.cloud_points) < parameters.least_supports:
-            points = FoundPoints(path, Within(pyproj.CRS(crs), crs, common))
-            for part in cloud.parts(crs, common, check):
-                points.add(*(part.xyz[part.ground] if use_ground else part.xyz).T)
-            return points.found(datum=stated_datum(system), places_in=places_unit(system))
-    return sums.found(path, parameters.cloud_points, system)
+        system = cloud.system
+    use_ground = ground.any()
+    sums = ground if use_ground else others
+    if sums.filled(parameters.cloud_points) >= parameters.least_supports:
+        return sums.found(path, parameters.cloud_points, system)
+    points = FoundPoints(path, Within(flat_crs(pyproj.CRS(crs)), crs, common))
+    with opened_cloud(path) as cloud:
+        for part in cloud.parts(crs, common, check):
+            points.add(*(part.xyz[part.ground] if use_ground else part.xyz).T)
+    return points.found(datum=stated_datum(system), places_in=places_unit(system))
 
 
 @dataclass(frozen=True)
