@@ -20,6 +20,7 @@ from osgeo import gdal
 from ..contracts.arrays import ByteImage, FloatArray, FloatImage, IntArray, Window
 from ..contracts.documents import JsonObject
 from ..contracts.errors import EmptyResultError, OverlapError
+from ..contracts.findings import Finding
 from ..evaluation.grids import Grid, bounds_on, cell_sides, require_place
 from ..geometry.frames import on_earth
 from ..geometry.vertical import TAG
@@ -108,8 +109,11 @@ def _require_cover(paint: Paint, dsm: gdal.Dataset, progress: Progress) -> None:
         )
     if share < _COVERED:
         progress.warn(
-            f"The orthophoto '{ortho.path}' covers {100 * share:.0f} % of the DSM '{grid.path}': elsewhere the colours "
-            "of its rim are shown."
+            Finding(
+                "ortho-covers-part",
+                f"The orthophoto '{ortho.path}' covers {100 * share:.0f} % of the DSM '{grid.path}': elsewhere the "
+                "colours of its rim are shown.",
+            )
         )
 
 

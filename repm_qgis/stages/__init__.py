@@ -19,7 +19,7 @@ from ..contracts.results import Result
 from ..contracts.stages import STAGES, R, Stage
 from ..runtime.imports import require_fitting_numpy, show_proj_its_data
 from ..runtime.locks import exclusive
-from ..runtime.progress import Progress
+from ..runtime.progress import Progress, Recorder
 from ..runtime.shortage import shortage_as_error
 from ..runtime.together import together
 from ..runtime.workspace import following_links_of
@@ -96,6 +96,7 @@ def _run(
     folders, files = _written(name, checked)
     products, workers = together(provisional(name, checked)), _workers_for(name, checked, progress)
     with exclusive(name, progress, folders, files), products, workers:
+        progress = Recorder(progress)
         name_voids(checked, progress)
         return run(checked, progress) if parameters is None else run(checked, progress, parameters)
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import time
 from dataclasses import replace
-from typing import Tuple
+from typing import Sequence, Tuple
 
 from ..buildings.cityjson import write_cityjson
 from ..buildings.finding import FoundBuildings, find_buildings, require_metres
 from ..buildings.layer import write_footprints
 from ..buildings.page import buildings_page
+from ..contracts.findings import Finding
 from ..contracts.options import BuildingsOptions, DtmOptions
 from ..contracts.results import BuildingsResult
 from ..evaluation.grids import Grid
@@ -18,6 +19,7 @@ from ..geometry.frames import flat_crs
 from ..imagery.raster import opened
 from ..names import surface_title
 from ..reports.styles import write_style
+from ..reports.verdict import of_buildings
 from ..runtime.parallel import kept_workers, run_whole
 from ..runtime.progress import Part, Progress, Recorder, counted
 from ..runtime.workspace import temporary_folder
@@ -26,7 +28,7 @@ from . import dtm
 from .parameters import ENGINE, EngineParameters
 
 _TERRAIN_SHARE = 0.5  # of the progress, where the terrain is made first
-_Task = Tuple[BuildingsOptions, Surface, str, str, EngineParameters]
+_Task = Tuple[BuildingsOptions, Surface, str, str, Sequence[Finding], EngineParameters]
 
 
 def run(options: BuildingsOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> BuildingsResult:
@@ -50,7 +52,7 @@ def run(options: BuildingsOptions, progress: Progress, parameters: EngineParamet
                 memory=options.memory,
             )
             dtm.run(made, Part(progress, 0.0, share), parameters)
-        task = options, surface, str(terrain), folder, parameters
+        task = options, surface, str(terrain), folder, progress.findings, parameters
         result: BuildingsResult = run_whole(_found, task, Part(progress, share, 1.0), "finding buildings")
         progress.step(1.0, "Buildings found")
     return replace(result, seconds=round(time.monotonic() - start, 3))
@@ -58,21 +60,17 @@ def run(options: BuildingsOptions, progress: Progress, parameters: EngineParamet
 
 def _found(task: _Task, progress: Progress) -> BuildingsResult:
     """The result, without its seconds."""
-    options, surface, terrain, folder, parameters = task
-    found = find_buildings(options, surface, terrain, folder, Part(progress, 0.0, 0.9), parameters.buildings)
-    for text in found.warnings:
-        progress.warn(text)
+    options, surface, terrain, folder, before, parameters = task
+    run = Recorder(progress, before)
+    found = find_buildings(options, surface, terrain, folder, Part(run, 0.0, 0.9), parameters.buildings)
+    measured = [each.heights.measured for each in found.buildings]
+    run.warn_all([*found.warnings, *of_buildings(measured, options.min_height, options.min_area)])
     if options.ortho and not found.shows_plants:
         progress.info(
             f"'{options.ortho}' names no near infrared band: only their heights distinguish trees from roofs."
         )
-    if not found.buildings:
-        progress.warn(
-            f"No building of at least {options.min_height:g} m and {options.min_area:g} m2 was found: the layer is "
-            "empty. Choose a smaller MIN_HEIGHT or MIN_AREA, or check that DTM is the terrain below this DSM."
-        )
     progress.step(0.9, "writing the buildings")
-    _write(options, found, terrain, progress)
+    _write(options, found, terrain, run)
     roofed = sum(each.lod == 2 for each in found.buildings)
     progress.info(
         f"{counted(len(found.buildings), 'building')}, {roofed} of them with the planes of their roofs, on "
@@ -90,7 +88,7 @@ def _found(task: _Task, progress: Progress) -> BuildingsResult:
     )
 
 
-def _write(options: BuildingsOptions, found: FoundBuildings, terrain: str, progress: Progress) -> None:
+def _write(options: BuildingsOptions, found: FoundBuildings, terrain: str, run: Recorder) -> None:
     with opened(options.dsm) as dataset:
         crs = flat_crs(Grid.of(dataset).crs)
     write_footprints(options.output, crs.to_wkt("WKT2_2019"), found.buildings, os.path.basename(options.dsm))
@@ -98,4 +96,4 @@ def _write(options: BuildingsOptions, found: FoundBuildings, terrain: str, progr
     if options.cityjson:
         write_cityjson(options.cityjson, found.buildings, crs, found.surface.datum, surface_title(options.dsm))
     if options.report:
-        buildings_page(options, found, terrain).of(surface_title(options.dsm)).write(options.report)
+        buildings_page(options, found, terrain).of(surface_title(options.dsm)).write(options.report, run)

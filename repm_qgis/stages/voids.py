@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ..contracts.errors import RepmError
 from ..contracts.file_kinds import is_catalogue, is_cloud
+from ..contracts.findings import Finding
 from ..contracts.options import Options
 from ..imagery.heights import HIGHEST_M, LOWEST_M, stray_shares
 from ..imagery.raster import opened
@@ -25,8 +26,11 @@ def name_voids(options: Options, progress: Progress) -> None:
             continue
         if impossible:
             progress.warn(
-                f"{_percent(impossible)} of the cells of '{path}' have numbers that cannot be heights (below "
-                f"{LOWEST_M:g} or above {HIGHEST_M:g} m), and no nodata value declares them: they are left out."
+                Finding(
+                    "heights-impossible",
+                    f"{_percent(impossible)} of the cells of '{path}' have numbers that cannot be heights (below "
+                    f"{LOWEST_M:g} or above {HIGHEST_M:g} m), and no nodata value declares them: they are left out.",
+                )
             )
         elif marked:
             progress.info(
