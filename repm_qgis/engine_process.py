@@ -29,7 +29,7 @@ from .contracts.errors import Cancelled, OptionError, RepmError
 from .contracts.results import Result
 from .runtime.imports import import_failure, is_import_failure
 from .runtime.parallel import end_workers
-from .runtime.process_limits import keep_freed_memory, one_thread_for_sums, prepare_gdal
+from .runtime.process_limits import bound_cache, keep_freed_memory, one_thread_for_sums, silence_gdal
 from .runtime.progress import JsonLines
 from .runtime.shortage import reserve_buffers, shortage_as_error
 from .runtime.standard_input import MAX_JOB_BYTES, VARIABLE, Beginning, first_line, watched
@@ -169,7 +169,8 @@ def _run(asked: Asked, lines: JsonLines) -> Result:
     keep_freed_memory()
     from .stages import run_stage
 
-    prepare_gdal()
+    bound_cache()
+    silence_gdal()
     reserve_buffers()
     stage, job = asked()
     with written_in(job.pop("language", None), job.pop("labels", None)):

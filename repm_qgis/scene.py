@@ -98,7 +98,7 @@ class View(Record):
     raster of the image's size whose pixels that are neither zero nor nodata are not to be used, "" where there is none.
     ``part`` is the window that shows the area of the run, None for the whole image: statistics are taken there.
     ``content`` is a digest that distinguishes the image from another one with its name, "" where there is none, and
-    ``stated`` one of the RPC as it was read, "" in scenes of older versions.
+    ``stated`` one of the RPC in the scene's file, by which a change there is seen; "" elsewhere.
     ``plane`` is the map that an ortho-ready image was projected to, None for an image in its sensor's geometry: then
     ``rpc`` gives lines of sight only, and ``model`` the pixels. ``jitter`` are waves of the attitude, which come on top
     of the pointing; None where none are known.
@@ -121,7 +121,12 @@ class View(Record):
     jitter: Optional[Jitter] = None
     stated: str = ""
 
+    def to_mapping(self) -> JsonObject:
+        return {**super().to_mapping(), "stated": self.rpc.digest}
+
     def contradiction(self) -> str:
+        if self.stated not in ("", self.rpc.digest):
+            return f"has an RPC that is not the one which was read from '{self.image}'"
         turned = abs(np.linalg.det(self.pointing[:, :2]))
         if not 0.5 < turned < 2.0:
             return "has a pointing that is too large for a correction"
@@ -364,14 +369,7 @@ class Scene(Record):
         self.require_same_images()
 
     def require_same_images(self) -> None:
-        """Raise SceneError with images that others have replaced since the scene was made, of those that are there, and
-        for an RPC in the scene that is not the one that was read."""
-        for view in self.views:
-            if view.stated and view.stated != view.rpc.digest:
-                raise SceneError(
-                    f"The RPC of '{view.name}' in the scene '{self.path}' was changed since it was read from "
-                    f"'{view.image}': restore the scene's file, or run {_FIRST_STAGE} again."
-                )
+        """Raise SceneError with images that others have replaced since the scene was made; of those that are there."""
         replaced = ", ".join(f"'{view.image}'" for view in self.views if view.replaced)
         if replaced:
             raise SceneError(
@@ -696,7 +694,7 @@ def load_view(
             )
     content = content_of(path)
     view = View(name, image, band, columns, rows, rpc, gsd, acquired=when, mask=mask, sensor=sensor, content=content)
-    return replace(view, plane=plane, stated=rpc.digest)
+    return replace(view, plane=plane)
 
 
 def middle_of(views: Sequence[View]) -> Tuple[float, float]:

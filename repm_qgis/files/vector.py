@@ -138,8 +138,12 @@ def write_layer(path: str, crs: str, geometry_type: int, fields: Mapping[str, ty
     """Write a vector layer in the format of the file's extension (GeoPackage where it has none we know).
 
     ``crs`` is any text PROJ understands, ``geometry_type`` ``ogr.wkbPolygon``, ``ogr.wkbPoint``, ...; ``fields`` has
-    names and types (str, int, float), in order. Raises WorkspaceError where the file cannot be written.
+    names and types (str, int, float), in order. Raises WorkspaceError where the file cannot be written, or holds other
+    layers.
     """
+    others = [name for name in strangers_in(path) if name != _layer_name(Path(path).stem)]
+    if others:
+        raise WorkspaceError(f"'{path}' holds '{others[0]}', which would be lost: choose another file.")
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
         with temporary_folder(path) as folder:  # some formats are several files

@@ -108,7 +108,11 @@ def _fill_of(
             size = min(part.width, parameters.looked_at), min(part.height, parameters.looked_at)
             sample = read(dataset, part, band, size, nearest=True)
             known = np.isfinite(sample)
-            if min((sample[known] > value).mean(), (sample[known] < value).mean()) <= parameters.beyond_share:
+            plain = (sample[known] == value).all()  # an image without any content
+            if (
+                not plain
+                and min((sample[known] > value).mean(), (sample[known] < value).mean()) <= parameters.beyond_share
+            ):
                 return value
     return math.nan
 

@@ -94,13 +94,18 @@ def keep_freed_memory() -> None:
     mallopt(_TRIM_THRESHOLD, 128 << 20)
 
 
-def prepare_gdal(megabytes: int = 128) -> None:
-    """Keep GDAL's block cache small: its default takes a twentieth of the machine. Its messages come in our exceptions
-    and not on the console, where also those stand of files that are then read in another way. For processes of our own
-    only."""
+def bound_cache(megabytes: int = 128) -> None:
+    """Keep GDAL's block cache small: its default takes a twentieth of the machine. For processes of our own only."""
     from osgeo import gdal
 
     gdal.SetCacheMax(megabytes << 20)
+
+
+def silence_gdal() -> None:
+    """Keep GDAL's messages off the console: they come in our exceptions, and those of a file that is then read in
+    another way mean nothing. For processes of our own only."""
+    from osgeo import gdal
+
     gdal.SetErrorHandler("CPLQuietErrorHandler")
 
 
@@ -111,5 +116,6 @@ def prepare_process() -> None:
     import cv2
 
     cv2.setNumThreads(1)
-    prepare_gdal(64)
+    bound_cache(64)
+    silence_gdal()
     reserve_buffers()

@@ -77,14 +77,15 @@ class _Marks:
 
     @staticmethod
     def _mark(target: Path, mark: Path, kind: str) -> None:
-        try:
-            if kind == _BEFORE:
-                os.link(target, mark, follow_symlinks=False)
-            else:
+        with suppress(OSError):  # a folder that cannot be written, which the stage reports
+            if kind != _BEFORE:
                 mark.touch(exist_ok=False)
-        except OSError:  # a disk without hard links, or a folder that cannot be written, which the stage reports
-            if kind == _BEFORE:
-                with suppress(OSError):
+            elif target.is_symlink():
+                os.replace(target, mark)
+            else:
+                try:
+                    os.link(target, mark)
+                except OSError:  # a disk without hard links
                     os.replace(target, mark)
 
     def mark(self, target: Path, kind: str) -> Path:

@@ -76,7 +76,10 @@ def test_a_comparison_leaves_them_out_and_names_the_file(tmp_path, told):
     dataset.SetGeoTransform((500000.0, 0.5, 0, 5000000.0, 0, -0.5))
     dataset = None
     said = told()
-    found = run_stage("comparedsm", {"dsm": dsm, "reference": reference}, said)
+    report = str(tmp_path / "report.html")
+    found = run_stage("comparedsm", {"dsm": dsm, "reference": reference, "report": report}, said)
+    page = open(report, encoding="utf-8").read()
+    assert "numbers that cannot be heights" in page and "Good." not in page
     assert found.rmse == pytest.approx(0.1, abs=0.01)
     (text,) = [text for text in said.warnings if "cannot be heights" in text]
     assert text.startswith("14 % of the cells of") and reference in text
