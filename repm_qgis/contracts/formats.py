@@ -84,8 +84,8 @@ def is_layer(path: str) -> bool:
 def _problem(product: Product, path: str) -> str:
     """What is wrong with a product's name, as the end of a sentence; "" where nothing is."""
     if is_layer(path):
-        own = "must be a file of its own, as nothing is added to a database or to another file"
-        return f"{own}: give a name that ends with {_listed(_endings(product))}"
+        reason = "must be a file of its own, as nothing is added to a database or to another file"
+        return f"{reason}: give a name that ends with {_listed(_endings(product))}"
     ending, known = _ending(path), _endings(product)
     if not ending:  # it says nothing: the format is the usual one
         return ""

@@ -107,12 +107,9 @@ def _fill_of(
         if count >= parameters.least_rows:
             size = min(part.width, parameters.looked_at), min(part.height, parameters.looked_at)
             sample = read(dataset, part, band, size, nearest=True)
-            known = np.isfinite(sample)
-            plain = (sample[known] == value).all()  # an image without any content
-            if (
-                not plain
-                and min((sample[known] > value).mean(), (sample[known] < value).mean()) <= parameters.beyond_share
-            ):
+            known = sample[np.isfinite(sample)]
+            above, below = (known > value).mean(), (known < value).mean()
+            if above + below and min(above, below) <= parameters.beyond_share:  # neither: an image without content
                 return value
     return math.nan
 

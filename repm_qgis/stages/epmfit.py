@@ -126,12 +126,18 @@ def _without_collars(views: Sequence[View], folder: Path, progress: Progress) ->
             told=fills.append,
         )
         if share:
-            kind = f"black margins, or ones of the value {fills[0]:g}," if fills else "black margins"
             looked_at = f"the part of '{view.name}' around EXTENT" if view.part else f"'{view.name}'"
-            progress.info(
-                f"{100 * share:.1f} % of the pixels of {looked_at} are {kind} that no nodata value marks: they "
-                "are left out."
-            )
+            percent = f"{100 * share:.1f}"
+            if fills:
+                progress.info(
+                    f"{percent} % of the pixels of {looked_at} are margins of the value {fills[0]:g}, or black ones, "
+                    "that no nodata value marks: they are left out."
+                )
+            else:
+                progress.info(
+                    f"{percent} % of the pixels of {looked_at} are black margins that no nodata value marks: they are "
+                    "left out."
+                )
         found.append(replace(view, mask=target) if share else view)
     return tuple(found)
 
