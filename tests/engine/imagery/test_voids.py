@@ -85,17 +85,20 @@ def test_a_comparison_leaves_them_out_and_names_the_file(tmp_path, told):
     assert text.startswith("14 % of the cells of") and reference in text
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("stage", ("dtm", "buildings", "change"))
 def test_dsms_with_huge_voids_are_worked_on(tmp_path, told, stage):
     heights = ground()
     heights[100:130, 100:140] = 3.4e38
     path = raster(tmp_path / "dsm.tif", heights, cell=0.5)
+    page = str(tmp_path / "report.html")
     said, output = told(), str(tmp_path / ("o.gpkg" if stage == "buildings" else "o.tif"))
     if stage == "change":
         other = raster(tmp_path / "after.tif", np.where(heights > 1e9, heights, heights + 0.01), cell=0.5)
-        run_stage(stage, {"before": path, "after": other, "output": output, "align": "none"}, said)
+        run_stage(stage, {"before": path, "after": other, "output": output, "align": "none", "report": page}, said)
     else:
-        run_stage(stage, {"dsm": path, "output": output}, said)
+        run_stage(stage, {"dsm": path, "output": output, "report": page}, said)
+    assert "Good." not in open(page, encoding="utf-8").read()
     assert any("1.3 % of the cells" in text for text in said.warnings)
     if stage == "dtm":
         with opened(output) as dataset:
