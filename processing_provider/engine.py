@@ -183,11 +183,10 @@ def run_apart(
 
 def _give_back(stage: Stage[Any], options: JsonMapping) -> None:
     """Undo what an engine process that was killed has replaced: the products of a run appear together or not at all."""
-    from ..repm_qgis.contracts.errors import RepmError
     from ..repm_qgis.runtime.together import recover
     from ..repm_qgis.stages import provisional
 
-    with suppress(RepmError):  # options that the engine has refused
+    with suppress(ValueError, OSError):  # options that the engine has refused, places that it cannot write
         recover(provisional(stage.name, stage.options.from_json(options)))
 
 
