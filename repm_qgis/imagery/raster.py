@@ -96,12 +96,15 @@ class MaskedImage:
         for begin in range(0, size[1], step):
             end = min(begin + step, size[1])
             strip = Window(col, row + int(top[begin]), width, int(bottom[end - 1] - top[begin]))
-            counts = np.zeros((strip.height + 1, width + 1), dtype=np.int64)
-            counts[1:, 1:] = self.excluded(strip).cumsum(axis=0).cumsum(axis=1)
-            rows = (edge[begin:end] - top[begin] for edge in (bottom, top))
-            below, above = (counts[each][:, last] - counts[each][:, first] for each in rows)
-            found[begin:end] = below > above
+            rows = _any_of(self.excluded(strip), top[begin:end] - top[begin], bottom[begin:end] - top[begin])
+            found[begin:end] = _any_of(rows.T, first, last).T
         return found
+
+
+def _any_of(excluded: Mask, first: IntArray, last: IntArray) -> Mask:
+    """(parts, columns) whether any row is excluded from the first of each part to before its last."""
+    more = np.vstack([excluded, np.zeros((1, excluded.shape[1]), dtype=bool)])
+    return np.asarray(np.logical_or.reduceat(more, np.column_stack([first, last]).ravel(), axis=0)[::2])
 
 
 def _parts(pixels: int, size: int) -> Tuple[IntArray, IntArray]:
