@@ -18,7 +18,7 @@ from ..files.untrusted import refusal_of
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import flat_crs, on_earth
 from ..geometry.vertical import metres_per_unit, stated_datum
-from .found import FoundHeights, Within, no_heights, places_unit
+from .found import FoundHeights, FoundPoints, Within, no_heights, places_unit
 from .parameters import REGISTRATION, RegistrationParameters
 from .rasters import slopes_of
 
@@ -40,8 +40,8 @@ def read_cloud(
 
     Points of the class ground (2) only, where there are any, else all but noise. The scene's surface shows roofs and
     trees, which ground points do not: the robust weights of the solution exclude them. A mean lies at the mean place of
-    its points, which on a slope need not be the cell's middle. ``check`` is called between parts, and may raise to
-    stop.
+    its points, which on a slope need not be the cell's middle. Where the points are too few for means, they themselves
+    are the heights, as those of a table. ``check`` is called between parts, and may raise to stop.
 
     Raises ImageError for a file that cannot be read, or has no CRS; OverlapError where it has no
     points within the bounds; MissingPackageError without laspy.
@@ -55,9 +55,15 @@ def read_cloud(
             others.add(part.xyz)
             ground.add(part.xyz[part.ground])
         system = cloud.system
-    if ground.any():
-        others = ground
-    return others.found(path, parameters.cloud_points, system)
+    use_ground = ground.any()
+    sums = ground if use_ground else others
+    if sums.filled(parameters.cloud_points) >= parameters.least_supports:
+        return sums.found(path, parameters.cloud_points, system)
+    points = FoundPoints(path, Within(flat_crs(pyproj.CRS(crs)), crs, common))
+    with opened_cloud(path) as cloud:
+        for part in cloud.parts(crs, common, check):
+            points.add(*(part.xyz[part.ground] if use_ground else part.xyz).T)
+    return points.found(datum=stated_datum(system), places_in=places_unit(system))
 
 
 @dataclass(frozen=True)
@@ -185,6 +191,10 @@ class CellSums:
     def any(self) -> bool:
         """Whether there is any point."""
         return bool(self._count.any())
+
+    def filled(self, least: int) -> int:
+        """How many cells have at least so many points."""
+        return int((self._count >= least).sum())
 
     def found(self, path: str, least: int, system: pyproj.CRS) -> FoundHeights:
         """Means of the cells with at least so many points; raises OverlapError where there is none."""
