@@ -12,6 +12,7 @@ from osgeo import ogr
 
 from ..contracts.arrays import FloatImage, Mask, Window
 from ..contracts.errors import OverlapError
+from ..contracts.findings import Finding, distinct
 from ..evaluation.grids import Grid, HeightWarper, overlap
 from ..imagery import raster
 from ..imagery.bands import vegetation_bands
@@ -60,8 +61,8 @@ class Rasters:
         self.shows_plants = bool(self._colours)
 
     @property
-    def warnings(self) -> List[str]:
-        return list(dict.fromkeys(self._ground.warnings))
+    def warnings(self) -> List[Finding]:
+        return distinct(self._ground.warnings)
 
     def _colours_of(self, ortho: str, stack: ExitStack) -> Tuple[HeightWarper, ...]:
         dataset = stack.enter_context(raster.opened(ortho))

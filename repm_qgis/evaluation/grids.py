@@ -15,6 +15,7 @@ from pyproj.exceptions import CRSError, ProjError
 from ..contracts.arrays import Bounds, FloatArray, FloatImage, Size, Window
 from ..contracts.checks import as_text
 from ..contracts.errors import ImageError, OverlapError
+from ..contracts.findings import Finding
 from ..geometry.frames import flat_crs, install_grid, on_earth, vertical_operations, vertical_part
 from ..geometry.interpolation import upsample_grid
 from ..geometry.vertical import ELLIPSOID, TAG
@@ -226,7 +227,7 @@ class HeightWarper:
         self._least_share = parameters.least_share
         self._source_flat, self._target_flat = _flat(self._source.crs), _flat(target.crs)
         self._to_source = _between(self._target_flat, self._source_flat)
-        self.warnings: List[str] = []
+        self.warnings: List[Finding] = []
         self.vertical = self._vertical_transformer()
 
     @property
@@ -334,7 +335,12 @@ class HeightWarper:
         if ours is None or theirs is None:
             silent = self._source if ours is None else self._target
             unknown = f"'{silent.path}' does not state its vertical datum"
-            self.warnings.append(f"{unknown}; its heights are assumed to be in the other raster's ({ours or theirs}).")
+            self.warnings.append(
+                Finding(
+                    "datum-unknown",
+                    f"{unknown}; its heights are assumed to be in the other raster's ({ours or theirs}).",
+                )
+            )
             return None
         return self._best_operation(source, target, ours, theirs)
 
@@ -352,7 +358,7 @@ class HeightWarper:
         if not group.best_available:
             poor = f"less accurately than possible ({group.transformers[0].description}), because a PROJ grid"
             task = f"Heights are transformed from {from_name} to {to_name}"
-            self.warnings.append(f"{task} {poor} is missing: {', '.join(missing)}.")
+            self.warnings.append(Finding("geoid-approximate", f"{task} {poor} is missing: {', '.join(missing)}."))
         return group.transformers[0]
 
     def _in_target(self, vertical: Transformer, x: FloatArray, y: FloatArray, height: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ from pyproj.exceptions import ProjError
 from ..contracts.arrays import Bounds, Window
 from ..contracts.checks import as_text
 from ..contracts.errors import ImageError, OptionError
+from ..contracts.findings import Finding
 from ..contracts.options import MosaicOptions
 from ..evaluation.grids import Grid, cell_sides, metres_per_unit, require_place
 from ..geometry.cell_grid import CellGrid
@@ -152,7 +153,9 @@ def _common_datum(paths: Sequence[str], found: Sequence[Found], progress: Progre
         more = f" and {len(silent) - 1} more" if len(silent) > 1 else ""
         others = known[0][1].name if known else "one datum, which is unknown"
         text = f"'{silent[0]}'{more} do not state" if more else f"'{silent[0]}' does not state"
-        progress.warn(f"{text} a vertical datum: all heights are assumed to refer to {others}.")
+        progress.warn(
+            Finding("datum-unknown", f"{text} a vertical datum: all heights are assumed to refer to {others}.")
+        )
     return known[0][1] if known else None
 
 

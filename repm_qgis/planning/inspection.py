@@ -29,6 +29,7 @@ from .pair_selection import Seen, best_pairs, pair_at, places_seen, shared_part,
 from .parameters import PLANNING, PlanningParameters
 
 YES, CARE, NO = "yes", "with care", "no"
+_SILENT = Silent()
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ class Place:
 
 
 def inspect_views(
-    views: Sequence[View], least_px: float, progress: Progress = Silent(), parameters: PlanningParameters = PLANNING
+    views: Sequence[View], least_px: float, progress: Progress = _SILENT, parameters: PlanningParameters = PLANNING
 ) -> Tuple[Place, ...]:
     """The places of the views (:func:`~repm_qgis.planning.overlap.places`), those with most images first."""
     groups = places(views, least_px)

@@ -17,6 +17,7 @@ from osgeo import ogr
 
 from ..contracts.arrays import Altitudes, FloatArray, Window
 from ..contracts.errors import OverlapError, RpcInvalidError
+from ..contracts.findings import Finding
 from ..contracts.options import EpmFitOptions
 from ..geometry.footprints import Polygon, footprint, geometry_of, ring, seen_twice
 from ..geometry.frames import projected_from_geodetic
@@ -26,7 +27,7 @@ from ..runtime.progress import Silent, listed
 from ..scene import View, common_heights, load_views
 from .parameters import PLANNING, PlanningParameters
 
-Warn = Callable[[str], None]
+Warn = Callable[[Finding], None]
 """It is given a sentence that the user should read."""
 
 _DEGREE_M = 111_320.0  # of latitude: overlaps are compared with a least area, and need no projection
@@ -91,7 +92,7 @@ def _each_once(views: Sequence[View], warn: Warn) -> List[View]:
     for each in doublets:
         if each.wrong:
             raise RpcInvalidError(each.text)
-        warn(each.text)
+        warn(Finding("image-copied", each.text))
     if len(kept) == 1 < len(views):
         raise OverlapError(f"All images are copies of '{kept[0].image}': choose another image of the same ground.")
     return kept
@@ -181,7 +182,8 @@ def of_one_place(
         raise OverlapError(not_overlapping(views))
     if left:
         remedy = foreign_rpc(left) or "If one of them belongs to this place, check that its RPC is its own."
-        warn(f"Images of another place are left out: {_looking(left)}; used are {_looking(first)}. {remedy}")
+        text = f"Images of another place are left out: {_looking(left)}; used are {_looking(first)}. {remedy}"
+        warn(Finding("images-elsewhere", text))
     return first
 
 

@@ -14,6 +14,7 @@ from typing import List, Sequence, Tuple
 import numpy as np
 
 from ..contracts.arrays import FloatArray
+from ..contracts.findings import Finding
 from ..contracts.records import GroundShift
 from .parameters import REGISTRATION, RegistrationParameters
 from .solve import Prior, Shift
@@ -105,7 +106,9 @@ def place_scenes(
     return placed
 
 
-def contradictions(observations: Sequence[Observation], parameters: RegistrationParameters = REGISTRATION) -> List[str]:
+def contradictions(
+    observations: Sequence[Observation], parameters: RegistrationParameters = REGISTRATION
+) -> List[Finding]:
     """Sentences about two sources that contradict each other about one scene."""
     found = []
     alone = [each for each in observations if each.second < 0]
@@ -118,11 +121,12 @@ def contradictions(observations: Sequence[Observation], parameters: Registration
                     apart = float(first.value[axis] - second.value[axis])
                     deviation = float(np.sqrt(_variance(first, axis) + _variance(second, axis)))
                     if abs(apart) > parameters.contradiction * deviation + parameters.least_contradiction_m:
-                        found.append(
+                        text = (
                             f"{first.source} and {second.source} contradict each other by {abs(apart):.2f} m {name}, "
                             f"where {deviation:.2f} m are expected (one standard deviation): check the places, "
                             "dates and vertical datums of both."
                         )
+                        found.append(Finding("references-contradict", text, "doubt"))
     return found
 
 

@@ -9,6 +9,7 @@ from typing import List, Optional, Tuple
 
 from ..contracts.arrays import Window
 from ..contracts.errors import RepmError
+from ..contracts.findings import Finding
 from ..contracts.options import DsmFuseOptions
 from ..contracts.products import product
 from ..contracts.records import DemOffset, FusionFacts
@@ -185,14 +186,22 @@ def _say_doubts(water: Water, progress: Progress) -> None:
         progress.info(f"Left out of the water: {areas}, because other ground that is as dark has the same NDWI.")
     if water.bodies and water.evidence.endswith(DARK):
         progress.warn(
-            "Dark, smooth ground, such as tarmac or deep shade, looks like water where no multispectral image shows "
-            "it: check on the images what was found (WATER_MASK), or give XS."
+            Finding(
+                "water-unsure",
+                "Dark, smooth ground, such as tarmac or deep shade, looks like water where no multispectral image "
+                "shows "
+                "it: check on the images what was found (WATER_MASK), or give XS.",
+            )
         )
     unknown = [body for body in water.bodies if not body.known]
     if unknown:
         progress.warn(
-            f"The level of {counted(len(unknown), 'lake')} is not known, because too little of the shore has heights: "
-            "WATER_MASK shows the water, but it is not flattened."
+            Finding(
+                "water-level-unknown",
+                f"The level of {counted(len(unknown), 'lake')} is not known, because too little of the shore has "
+                "heights: "
+                "WATER_MASK shows the water, but it is not flattened.",
+            )
         )
 
 

@@ -344,7 +344,7 @@ def test_nothing_found_is_said_and_gives_empty_files(tmp_path):
     assert ogr.Open(given["output"]).GetLayer(0).GetFeatureCount() == 0
     city, solids = checked(given["cityjson"])
     assert city["CityObjects"] == {} and city["vertices"] == [] and solids == {}
-    assert "There are no buildings" in (tmp_path / "b.html").read_text(encoding="utf-8")
+    assert "No building of at least 2.5 m" in (tmp_path / "b.html").read_text(encoding="utf-8")
 
 
 def test_what_cannot_be_used_is_refused_in_a_sentence(tmp_path):
