@@ -11,6 +11,7 @@ from ..buildings.cityjson import write_cityjson
 from ..buildings.finding import FoundBuildings, find_buildings, require_metres
 from ..buildings.layer import write_footprints
 from ..buildings.page import buildings_page
+from ..contracts.findings import Finding
 from ..contracts.options import BuildingsOptions, DtmOptions
 from ..contracts.results import BuildingsResult
 from ..evaluation.grids import Grid
@@ -27,7 +28,7 @@ from . import dtm
 from .parameters import ENGINE, EngineParameters
 
 _TERRAIN_SHARE = 0.5  # of the progress, where the terrain is made first
-_Task = Tuple[BuildingsOptions, Surface, str, str, EngineParameters]
+_Task = Tuple[BuildingsOptions, Surface, str, str, Tuple[Finding, ...], EngineParameters]
 
 
 def run(options: BuildingsOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> BuildingsResult:
@@ -51,7 +52,7 @@ def run(options: BuildingsOptions, progress: Progress, parameters: EngineParamet
                 memory=options.memory,
             )
             dtm.run(made, Part(progress, 0.0, share), parameters)
-        task = options, surface, str(terrain), folder, parameters
+        task = options, surface, str(terrain), folder, tuple(progress.findings), parameters
         result: BuildingsResult = run_whole(_found, task, Part(progress, share, 1.0), "finding buildings")
         progress.step(1.0, "Buildings found")
     return replace(result, seconds=round(time.monotonic() - start, 3))
@@ -59,8 +60,9 @@ def run(options: BuildingsOptions, progress: Progress, parameters: EngineParamet
 
 def _found(task: _Task, progress: Progress) -> BuildingsResult:
     """The result, without its seconds."""
-    options, surface, terrain, folder, parameters = task
+    options, surface, terrain, folder, said, parameters = task
     run = Recorder(progress)
+    run.warn_all(said)
     found = find_buildings(options, surface, terrain, folder, Part(run, 0.0, 0.9), parameters.buildings)
     measured = [each.heights.measured for each in found.buildings]
     run.warn_all([*found.warnings, *of_buildings(measured, options.min_height, options.min_area)])
