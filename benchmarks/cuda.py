@@ -67,7 +67,7 @@ def row(name: str, scene: Scene, way: Way) -> List[object]:
     with tempfile.TemporaryDirectory() as work:
         with MemoryWatch() as memory:
             made = pipeline(scene.images, work, heard, resolution=scene.resolution, **way[1])
-        failed = [text for text in heard.warnings if text.startswith("Tile ")]
+        failed = [text for text in heard.findings if text.startswith("Tile ")]
         if failed:
             raise Failed(failed[0])
         align = "3d" if scene.align else "none"

@@ -58,8 +58,8 @@ class FeedbackProgress:
     def info(self, text: str) -> None:
         self._feedback.pushInfo(self._translate(text))
 
-    def warn(self, text: str) -> None:
-        self._feedback.pushWarning(self._translate(text))
+    def warn(self, finding: str) -> None:
+        self._feedback.pushWarning(self._translate(finding))
 
     def check_cancelled(self) -> None:
         if is_cancelled(self._feedback):

@@ -23,6 +23,7 @@ from .contracts.arrays import FloatArray, Size, Window
 from .contracts.checks import Choice, Misfit, Number, file_name, mapping, member, shown, typed
 from .contracts.documents import JsonMapping, JsonObject
 from .contracts.errors import ImageError, OptionError, RpcInvalidError, SceneError, SceneVersionError, reason_of
+from .contracts.findings import Finding
 from .contracts.options import BACKENDS, MODELS, PRESETS
 from .contracts.record import Record
 from .contracts.records import (
@@ -438,7 +439,7 @@ class Scene(Record):
         key: str,
         options: JsonMapping,
         seconds: float,
-        warnings: Sequence[str] = (),
+        warnings: Sequence[Finding] = (),
         parameters: Optional[JsonObject] = None,
     ) -> "Scene":
         """The scene with a finished stage in its history, where it replaces an earlier record of the same stage."""

@@ -12,7 +12,8 @@ from osgeo import ogr
 
 from ..contracts.arrays import FloatImage, Mask, Window
 from ..contracts.errors import OverlapError
-from ..evaluation.grids import Grid, HeightWarper, overlap
+from ..contracts.findings import Finding, distinct
+from ..evaluation.grids import Grid, HeightWarper, metric_of, overlap
 from ..imagery import raster
 from ..imagery.bands import vegetation_bands
 from ..imagery.confidence import Provenance
@@ -52,6 +53,7 @@ class Rasters:
         self.surface = surface
         self._dsm = stack.enter_context(raster.opened(surface.path))
         self.grid = Grid.of(self._dsm)
+        self.scale_m2 = metric_of(self.grid).area_per_unit
         ground = stack.enter_context(raster.opened(terrain))
         overlap(Grid.of(ground), self.grid)
         self._ground = HeightWarper(ground, self.grid)
@@ -60,8 +62,8 @@ class Rasters:
         self.shows_plants = bool(self._colours)
 
     @property
-    def warnings(self) -> List[str]:
-        return list(dict.fromkeys(self._ground.warnings))
+    def warnings(self) -> List[Finding]:
+        return distinct(self._ground.warnings)
 
     def _colours_of(self, ortho: str, stack: ExitStack) -> Tuple[HeightWarper, ...]:
         dataset = stack.enter_context(raster.opened(ortho))

@@ -9,6 +9,7 @@ from typing import List
 from osgeo import ogr
 
 from ..contracts.errors import ImageError
+from ..contracts.findings import Finding
 from ..contracts.options import BuildingsOptions
 from ..imagery.raster import quiet
 from ..runtime.progress import Progress
@@ -28,7 +29,7 @@ class FoundBuildings:
     surface: Surface
     buildings: List[Building]
     shows_plants: bool
-    warnings: List[str]
+    warnings: List[Finding]
 
 
 def require_metres(surface: Surface) -> None:

@@ -14,7 +14,6 @@ from .finding import FoundBuildings
 
 _PICTURE_PX = 900
 _MOST_ROWS = 100
-_FEW_MEASURED = 0.5
 
 
 def buildings_page(options: BuildingsOptions, found: FoundBuildings, terrain: str) -> Report:
@@ -22,16 +21,10 @@ def buildings_page(options: BuildingsOptions, found: FoundBuildings, terrain: st
     page = Report("Buildings of a DSM", f"{options.output}, of {options.dsm}")
     buildings = found.buildings
     errors = np.array([each.heights.error for each in buildings])
-    unsure = sum(each.heights.measured < _FEW_MEASURED for each in buildings)
-    findings = list(found.warnings)
-    if unsure:
-        findings.append(f"Less than half of the roof was measured for {unsure} of the buildings: look at these first.")
-    if not buildings:
-        findings.append("There are no buildings of this height and area.")
     page.verdict(
         f"{len(buildings)} buildings; the height of half of them is known to {_median(errors):.2f} m or better "
         "(standard error).",
-        findings,
+        about=True,
     )
     page.section("Picture")
     picture, low, high = _picture(found)

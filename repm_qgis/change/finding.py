@@ -14,6 +14,7 @@ from osgeo import ogr
 from .. import __version__
 from ..contracts.arrays import FloatArray, FloatImage, IntArray, Window
 from ..contracts.errors import EmptyResultError
+from ..contracts.findings import Finding
 from ..contracts.options import ChangeOptions
 from ..evaluation.comparison import Thumbnails
 from ..evaluation.coregistration import Alignment
@@ -60,7 +61,7 @@ class Found:
     histogram: IntArray
     pictures: Dict[str, FloatImage]
     picture_cell_m: float
-    warnings: List[str]
+    warnings: List[Finding]
 
     def total(self, gain: bool) -> Total:
         return total_of([each for each in self.changes if each.gain == gain], self.offset_m)

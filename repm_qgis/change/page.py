@@ -9,7 +9,7 @@ from pyproj import Transformer
 
 from ..contracts.options import ChangeOptions
 from ..geometry.frames import flat_crs
-from ..reports import charts, pictures, verdict
+from ..reports import charts, pictures
 from ..reports.report import Report, fixed
 from .finding import Found
 from .parameters import CHANGE
@@ -28,9 +28,7 @@ def change_page(options: ChangeOptions, found: Found) -> Report:
         if found.changes
         else "Nothing changed significantly between the two dates."
     )
-    page.verdict(good, verdict.of_change(found.changed_share, found.alignment.dz, found.level_m, found.warnings))
-    for text in found.warnings:
-        page.warning(text)
+    page.verdict(good, about=True)
     _totals(page, options, found)
     _pictures(page, found)
     _largest(page, options, found)

@@ -12,6 +12,7 @@ from osgeo import gdal
 
 from ..contracts.arrays import FloatImage, Mask, Window
 from ..contracts.errors import EmptyResultError
+from ..contracts.findings import Finding, distinct
 from ..contracts.options import ChangeOptions
 from ..evaluation.comparison import gradient, sample_windows
 from ..evaluation.coregistration import Alignment, align
@@ -123,8 +124,8 @@ class Surfaces:
         self._least_counts = [parameters.usual_maps * self._usual(each) for each in self._counts]
 
     @property
-    def warnings(self) -> List[str]:
-        return list(dict.fromkeys(text for warper in self._warpers for text in warper.warnings))
+    def warnings(self) -> List[Finding]:
+        return distinct(finding for warper in self._warpers for finding in warper.warnings)
 
     @property
     def stated(self) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 
 from .arrays import Altitudes, Bounds, FloatArray
 from .checks import AnyFile, Array, FileName, Number, OwnFile, Range, Rectangle, types_of
+from .findings import Finding
 from .record import R, Record
 
 FilePath = Annotated[str, AnyFile()]
@@ -414,5 +415,5 @@ class StageRecord(Record):
     engine: str
     seconds: Annotated[float, Number(0, 1e9, "s")]
     options: Dict[str, object]
-    warnings: Tuple[str, ...] = ()
+    warnings: Tuple[Finding, ...] = ()
     parameters: Dict[str, object] = dataclasses.field(default_factory=dict)

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..contracts.arrays import FloatArray, FloatImage, Mask, Window
 from ..contracts.errors import EmptyResultError
+from ..contracts.findings import Finding
 from ..evaluation.grids import Grid
 from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.levels import doubled, halved
@@ -54,7 +55,9 @@ class Surface:
         """Apply one edit; raises EmptyResultError for one that finds no heights to use."""
         window = shape.window(self._grid)
         if window is None:
-            self._progress.warn(f"Edit {edit.number} lies outside the DSM: it changes nothing.")
+            self._progress.warn(
+                Finding("edit-outside", f"Edit {edit.number} lies outside the DSM: it changes nothing.")
+            )
             return Applied(0)
         if edit.operation == "remove":
             return self._with_value(shape, window, math.nan)
@@ -146,7 +149,10 @@ class Surface:
             )
         if count > reached:
             self._progress.warn(
-                f"Edit {edit.number}: {count - reached} cells have no heights around them, and stay without one."
+                Finding(
+                    "edit-without-heights",
+                    f"Edit {edit.number}: {count - reached} cells have no heights around them, and stay without one.",
+                )
             )
         return Applied(count)
 

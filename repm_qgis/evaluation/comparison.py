@@ -11,6 +11,7 @@ from osgeo import gdal
 
 from ..contracts.arrays import Bounds, FloatArray, FloatImage, IntArray, Size, Window
 from ..contracts.errors import EmptyResultError
+from ..contracts.findings import Finding
 from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster
 from ..imagery.heights import read_heights
@@ -50,7 +51,7 @@ class Comparison:
     histogram: IntArray
     thumbnails: Dict[str, FloatImage]
     thumbnail_factor: int
-    warnings: List[str]
+    warnings: List[Finding]
 
     def histogram_edges(self) -> FloatArray:
         """Edges (n + 1,) in metres of the ``histogram``'s bins; the outermost bins hold all that lies beyond."""

@@ -16,6 +16,7 @@ from pyproj import CRS, Transformer
 
 from ..contracts.arrays import FloatArray, Mask
 from ..contracts.checks import as_text
+from ..contracts.findings import Finding
 from ..geometry.frames import EnuFrame, flat_crs, on_earth, vertical_part
 from ..geometry.height_causes import likely_cause
 from ..numerics.accuracy import distances, le90
@@ -78,7 +79,7 @@ class GcpAccuracy:
     shifts: Dict[str, FloatArray] = field(default_factory=dict)
     wrong: Tuple[str, ...] = ()
     dsm_heights: Optional[FloatArray] = None
-    warnings: List[str] = field(default_factory=list)
+    warnings: List[Finding] = field(default_factory=list)
 
     def rows(self, role: str = "") -> Mask:
         """(N,) which points of a role ("": all) count: those found wrong do not."""
@@ -108,8 +109,11 @@ def measure_images(found: GcpAccuracy, views: Sequence[View], parameters: GcpPar
     found.shifts = _shifts(good)
     for name in found.wrong:
         found.warnings.append(
-            f"The control point {name} contradicts the others and is left out: check its coordinates, the datum of "
-            "its height, and its pixels."
+            Finding(
+                "gcp-contradicts",
+                f"The control point {name} contradicts the others and is left out: check its coordinates, the datum of "
+                "its height, and its pixels.",
+            )
         )
     if good:
         shifted = [_shifted(plain, _shifts(good, gcp.id)) for gcp in found.gcps]
@@ -193,18 +197,22 @@ def measure_dsm(found: GcpAccuracy, dsm: gdal.Dataset, points: str, parameters: 
     _warn_of_heights(found, parameters)
 
 
-def _datum_warnings(dsm: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List[str]:
+def _datum_warnings(dsm: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List[Finding]:
     if vertical_part(grid.crs) is not None:
         return warper.warnings
     if "ellipsoid" in as_text(dsm.GetMetadataItem("VERTICAL_DATUM") or "").lower():
         return []
     return [
-        f"'{grid.path}' does not state its vertical datum; its heights are assumed to be above the WGS 84 ellipsoid. "
-        "If they are above a geoid, assign it a CRS that states it (for example EPSG:32631+3855)."
+        Finding(
+            "datum-unknown",
+            f"'{grid.path}' does not state its vertical datum; its heights are assumed to be above the WGS 84 "
+            "ellipsoid. "
+            "If they are above a geoid, assign it a CRS that states it (for example EPSG:32631+3855).",
+        )
     ]
 
 
-def _missing(found: GcpAccuracy, grid: Grid, places: FloatArray, none: Mask) -> List[str]:
+def _missing(found: GcpAccuracy, grid: Grid, places: FloatArray, none: Mask) -> List[Finding]:
     """Warnings of points that have no height, outside the DSM and inside."""
     x, y = Transformer.from_crs("EPSG:4326", flat_crs(on_earth(grid.crs, grid.path)), always_xy=True).transform(
         *places.T
@@ -218,7 +226,9 @@ def _missing(found: GcpAccuracy, grid: Grid, places: FloatArray, none: Mask) -> 
             more = f" and {len(names) - 10} more" if len(names) > 10 else ""
             lie = "1 point lies" if len(names) == 1 else f"{len(names)} points lie"
             counted = "is not counted" if len(names) == 1 else "are not counted"
-            warnings.append(f"{lie} {why} and {counted}: {', '.join(names[:10])}{more}.")
+            warnings.append(
+                Finding("points-without-height", f"{lie} {why} and {counted}: {', '.join(names[:10])}{more}.")
+            )
     return warnings
 
 
@@ -234,12 +244,11 @@ def _warn_of_heights(found: GcpAccuracy, parameters: GcpParameters) -> None:
     lon, lat, height = np.median([gcp.lon_lat_h for gcp, yes in zip(found.gcps, known) if yes], axis=0)
     cause = likely_cause(middle, float(height), float(lon), float(lat), max(parameters.least_off_m / 2.0, spread))
     if cause:
-        found.warnings.append(
-            f"The DSM's heights differ from the points' by {middle:+.1f} m as a whole, which is usually a geoid or a unit. "
-            f"The points' would change by {cause}: check their unit, GCP_DATUM and the DSM's vertical datum."
+        text = (
+            f"The DSM's heights differ from the points' by {middle:+.1f} m as a whole, which is usually a geoid or a "
+            f"unit. The points' would change by {cause}: check their unit, GCP_DATUM and the DSM's vertical datum."
         )
+        found.warnings.append(Finding("geoid-likely", text, "doubt"))
     elif abs(middle) > parameters.geoid_m:
-        found.warnings.append(
-            f"The DSM's heights differ from the points' by {middle:+.1f} m as a whole, which is usually a geoid: check "
-            "GCP_DATUM and the DSM's vertical datum."
-        )
+        text = f"The DSM's heights differ from the points' by {middle:+.1f} m as a whole, which is usually a geoid: "
+        found.warnings.append(Finding("geoid-likely", text + "check GCP_DATUM and the DSM's vertical datum."))

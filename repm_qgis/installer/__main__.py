@@ -12,6 +12,7 @@ import sys
 from typing import Sequence
 
 from ..contracts.errors import Cancelled, RepmError
+from ..contracts.findings import Finding
 from ..runtime.packages import PLUGIN_FOLDER, REQUIREMENTS, requirements_of
 from ..runtime.progress import Silent
 from . import environments
@@ -33,7 +34,8 @@ class _Printed(Silent):
     def info(self, text: str) -> None:
         _say(text)
 
-    warn = info
+    def warn(self, finding: Finding) -> None:
+        _say(finding)
 
 
 def _say(text: str) -> None:

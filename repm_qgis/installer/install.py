@@ -12,6 +12,7 @@ from datetime import datetime
 from typing import Callable, List, Sequence, TextIO, Tuple
 
 from ..contracts.errors import MissingPackageError, OptionError, WorkspaceError
+from ..contracts.findings import Finding
 from ..contracts.paths import real_path
 from ..runtime.locks import exclusive
 from ..runtime.packages import PACKAGES, REPLACEABLE, constraints, name_of
@@ -92,7 +93,9 @@ def install(
             raise cannot_write(folder, error) from error
     left = environments.remove(environments.superseded(folder, program))
     if left:
-        progress.warn(f"An earlier environment is in use and stays for now: {', '.join(left)}.")
+        progress.warn(
+            Finding("environment-left", f"An earlier environment is in use and stays for now: {', '.join(left)}.")
+        )
     progress.step(1.0, "installed")
     return True
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..contracts.arrays import Bounds
 from ..contracts.errors import DeviceError
+from ..contracts.findings import Finding
 from ..contracts.options import ReconstructOptions
 from ..contracts.records import HeightMapRecord, ViewPair
 from ..geometry.ground_shifts import shift_in
@@ -157,7 +158,7 @@ def match_scene(job: MatchingJob, backends: Sequence[Backend], progress: Progres
         records += found.records
         outcome = "has no heights" if last else f"was matched by {backends[number].name} instead"
         for tile, error in found.failed.items():
-            progress.warn(f"Tile {tile} {outcome}: {error}")
+            progress.warn(Finding("tile-unmatched", f"Tile {tile} {outcome}: {error}"))
         if last and found.failed and not records:
             raise next(iter(found.failed.values()))
         begin, job = end, replace(job, tiles=tuple(tile for tile in job.tiles if tile.id in found.failed))

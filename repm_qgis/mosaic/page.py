@@ -27,24 +27,25 @@ def mosaic_page(
     offsets: Offsets,
     cells: Dict[int, int],
     seam: Optional[float],
-    warnings: Sequence[str],
 ) -> Report:
     """The page of a mosaic; ``cells`` counts those of each DSM by its number, ``seam`` is the median step, m."""
     page = Report("Mosaic of DSMs", f"{options.output}, of {counted(len(layout.dsms), 'DSM')}")
-    left = [
-        verdict.Difference(each.first + 1, each.second + 1, each.after(offsets.added), each.nmad) for each in overlaps
-    ]
-    spread = float(np.sqrt(np.mean([each.median**2 for each in left])))
+    spread = float(np.sqrt(np.mean([each.median**2 for each in left_differences(overlaps, offsets)])))
     good = f"After the offsets, the median differences of the DSMs are {spread:.3f} m (root mean square)."
-    page.verdict(good, verdict.of_mosaic(left, warnings))
-    for text in warnings:
-        page.warning(text)
+    page.verdict(good)
     _surface(page, options, layout, cells, seam)
     _dsms(page, layout, overlaps, offsets, cells)
     _overlaps(page, layout, overlaps, offsets)
     if options.sources:
         _sources(page, options.sources, len(layout.dsms))
     return page
+
+
+def left_differences(overlaps: Sequence[Overlap], offsets: Offsets) -> List[verdict.Difference]:
+    """What is left of the differences of DSMs after their offsets."""
+    return [
+        verdict.Difference(each.first + 1, each.second + 1, each.after(offsets.added), each.nmad) for each in overlaps
+    ]
 
 
 def _surface(

@@ -14,6 +14,7 @@ from typing import Callable, Tuple
 import numpy as np
 
 from ..contracts.arrays import FloatArray, FloatImage, Window
+from ..contracts.findings import Finding
 from ..contracts.options import DsmFuseOptions
 from ..fusion.finished import FinishedSurface
 from ..geometry.cell_grid import overlapping_blocks
@@ -88,8 +89,12 @@ def _sharpened(
         )
         if pair.correlation < parameters.sharpening.least_correlation:
             progress.warn(
-                f"'{pair.image.image}' hardly resembles '{pair.pan.image}' (correlation {pair.correlation:.2f}): check "
-                "that both are of one acquisition, or set PANSHARPEN=false."
+                Finding(
+                    "xs-unlike",
+                    f"'{pair.image.image}' hardly resembles '{pair.pan.image}' (correlation {pair.correlation:.2f}): "
+                    "check "
+                    "that both are of one acquisition, or set PANSHARPEN=false.",
+                )
             )
     return replace(plan, sources=tuple(replace(s, multispectral=pair) for s, pair in zip(plan.sources, found)))
 

@@ -9,6 +9,7 @@ import numpy as np
 from osgeo import ogr
 
 from ..contracts.arrays import Bounds, FloatArray
+from ..contracts.findings import Finding
 from ..contracts.records import PointingFigures, ViewPair
 from ..geometry.footprints import bounds_of, box
 from ..imagery.acquisition import duration_text
@@ -55,16 +56,23 @@ def ties_by_part(scene: Scene, xy: FloatArray, parameters: AdviceParameters = PL
 
 def advice(
     scene: Scene, pairs: Sequence[ViewPair], figures: PointingFigures, parameters: PlanningParameters = PLANNING
-) -> List[str]:
+) -> List[Finding]:
     """Warnings, each with what the analyst can do."""
     limits = parameters.advice
     spare = len(scene.views) > 2  # of two, none can be left out
-    texts = [text for pair in pairs for text in _geometry(pair, scene.gsd_m, spare, parameters)]
-    texts += _left_out(scene, pairs) + _groups(scene, pairs) + _at_night(scene) + _suns(pairs, spare, limits)
-    texts += _dates(pairs, spare, limits) + _thin(scene, figures, limits)
-    texts += _beyond_promise(scene, figures, parameters) or _uncertain(scene, figures, parameters)
-    texts += _outside(scene, figures, parameters) + _trends(figures, limits)
-    return texts
+    sentences = {
+        "pair-geometry": [text for pair in pairs for text in _geometry(pair, scene.gsd_m, spare, parameters)],
+        "views-left-out": _left_out(scene, pairs),
+        "pairs-in-groups": _groups(scene, pairs),
+        "image-at-night": _at_night(scene),
+        "suns-differ": _suns(pairs, spare, limits),
+        "dates-differ": _dates(pairs, spare, limits),
+        "ties-thin": _thin(scene, figures, limits),
+        "rpcs-disagree": _beyond_promise(scene, figures, parameters) or _uncertain(scene, figures, parameters),
+        "ground-outside": _outside(scene, figures, parameters),
+        "pointing-trend": _trends(figures, limits),
+    }
+    return [Finding(name, text) for name, texts in sentences.items() for text in texts]
 
 
 def absolute_height(

@@ -17,6 +17,7 @@ from osgeo import ogr
 
 from ..contracts.arrays import Altitudes, Bounds, FloatArray, FloatImage, Mask, Window
 from ..contracts.errors import OptionError
+from ..contracts.findings import Finding
 from ..contracts.records import ViewPair
 from ..geometry.footprints import bounds_of, box, footprint, geometry_of, ray_slope
 from ..geometry.frames import EnuFrame, geodetic_from_projected, mean_place, projected_from_geodetic
@@ -422,7 +423,11 @@ def altitude_range(
         low, high, known = dem_range(dem, crs, bounds)
         if not known:
             unknown = f"The DEM '{dem}' does not state its vertical datum"
-            progress.warn(f"{unknown}: its heights are assumed to be metres above the WGS 84 ellipsoid.")
+            progress.warn(
+                Finding(
+                    "dem-datum-unknown", f"{unknown}: its heights are assumed to be metres above the WGS 84 ellipsoid."
+                )
+            )
         found, source = altitudes.around_dem(low, high), "DEM"
     else:
         swept = sweep_altitudes(
@@ -432,8 +437,13 @@ def altitude_range(
             for view in views:  # an image that shows nothing is an error of its own
                 view.stretch()
             progress.warn(
-                f"The altitude range could not be found from the images: that of the RPCs is used, {search[0]:.0f} to "
-                f"{search[1]:.0f} m. With a DEM, or ALTITUDE_MIN and ALTITUDE_MAX, the run is faster and more reliable."
+                Finding(
+                    "altitudes-of-rpcs",
+                    "The altitude range could not be found from the images: that of the RPCs is used, "
+                    f"{search[0]:.0f} to "
+                    f"{search[1]:.0f} m. With a DEM, or ALTITUDE_MIN and ALTITUDE_MAX, the run is faster and more "
+                    "reliable.",
+                )
             )
             found, source = search, "RPC"
         else:

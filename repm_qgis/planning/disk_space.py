@@ -163,7 +163,7 @@ def require_space(work: str, needs: Iterable[Need], progress: Progress) -> None:
             )
         text = f"{work.capitalize()} will write about {_text(expected)} on the disk of '{path}' ({_text(free)} free)"
         if free < expected:
-            progress.warn(f"{text}: if it fills up, free some space and run again, which continues there.")
+            progress.info(f"{text}: if it fills up, free some space and run again, which continues there.")
         else:
             progress.info(f"{text}.")
 

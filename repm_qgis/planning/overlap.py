@@ -16,6 +16,7 @@ import pyproj
 
 from ..contracts.arrays import FloatArray, Window
 from ..contracts.errors import OverlapError, RpcInvalidError
+from ..contracts.findings import Finding
 from ..contracts.options import EpmFitOptions
 from ..geometry.footprints import Polygon, footprint, geometry_of, ring
 from ..imagery.deliveries import with_images
@@ -23,7 +24,7 @@ from ..imagery.raster import opened, read
 from ..runtime.progress import Silent, listed
 from ..scene import View, common_heights, load_views
 
-Warn = Callable[[str], None]
+Warn = Callable[[Finding], None]
 """It is given a sentence that the user should read."""
 
 _DEGREE_M = 111_320.0  # of latitude: overlaps are compared with a least area, and need no projection
@@ -95,7 +96,8 @@ def _each_once(views: Sequence[View], warn: Warn) -> List[View]:
                 f"The images {same.name} and {view.name} have the same pixels, but RPCs that place them {apart:.1f} px "
                 "apart: give the image once, with its own RPC."
             )
-        warn(f"The image {view.name} ('{view.image}') is a copy of {same.name}: only {same.name} is used.")
+        text = f"The image {view.name} ('{view.image}') is a copy of {same.name}: only {same.name} is used."
+        warn(Finding("image-copied", text))
     if len(kept) == 1 < len(views):
         raise OverlapError(f"All images are copies of '{kept[0].image}': choose another image of the same ground.")
     return kept
@@ -146,7 +148,8 @@ def of_one_place(
         raise OverlapError(not_overlapping(views))
     if left:
         remedy = foreign_rpc(left) or "If one of them belongs to this place, check that its RPC is its own."
-        warn(f"Images of another place are left out: {_looking(left)}; used are {_looking(first)}. {remedy}")
+        text = f"Images of another place are left out: {_looking(left)}; used are {_looking(first)}. {remedy}"
+        warn(Finding("images-elsewhere", text))
     return first
 
 

@@ -15,6 +15,7 @@ from typing import Optional, Sequence, Tuple
 import numpy as np
 
 from ..contracts.arrays import Altitudes, Bounds
+from ..contracts.findings import Finding
 from ..geometry.frames import geodetic_from_projected
 from ..imagery.dem import dem_range, surface_of
 from ..imagery.ortho_ready import OPTION
@@ -56,8 +57,12 @@ def with_planes(
     views = tuple(_at_plane(view, height, "") if view in assumed else view for view in views)
     if known:
         progress.warn(
-            f"Nothing states to which height {names} were projected: {height:.0f} m above the ellipsoid is used, the "
-            f"mean of the other images' heights. {_REMEDY}"
+            Finding(
+                "plane-height-of-others",
+                f"Nothing states to which height {names} were projected: {height:.0f} m above the ellipsoid is used, "
+                "the "
+                f"mean of the other images' heights. {_REMEDY}",
+            )
         )
         return tuple(
             _at_plane(view, height, "the other images") if _is_assumed(view) else view for view in views
@@ -76,9 +81,13 @@ def with_planes(
             )
             return tuple(_at_plane(view, height, "DEM") if _is_assumed(view) else view for view in views), search
     progress.warn(
-        f"Nothing states to which height {names} were projected: {height:.0f} m above the ellipsoid is assumed, the "
-        "middle of the RPC's heights. An error of this height is an error of all heights of the DSM. "
-        f"{_REMEDY}"
+        Finding(
+            "plane-height-assumed",
+            f"Nothing states to which height {names} were projected: {height:.0f} m above the ellipsoid is assumed, "
+            "the "
+            "middle of the RPC's heights. An error of this height is an error of all heights of the DSM. "
+            f"{_REMEDY}",
+        )
     )
     return views, wide
 

@@ -6,10 +6,11 @@ an independent witness, as good as their promise; where they usually are better,
 
 from __future__ import annotations
 
-from typing import Sequence
+from typing import Optional, Sequence
 
 import numpy as np
 
+from ..contracts.findings import Finding
 from ..contracts.records import PointingFigures, ViewPair
 from ..geometry.height_causes import likely_cause
 from ..planning.height_uncertainty import usual_height_deviation
@@ -25,8 +26,8 @@ def heights_off(
     pairs: Sequence[ViewPair],
     figures: PointingFigures,
     parameters: PointingParameters = POINTING,
-) -> str:
-    """A sentence where control points lie elsewhere in height than the vendors' RPCs see them, as a whole; "" where not.
+) -> Optional[Finding]:
+    """A sentence where control points lie elsewhere in height than the vendors' RPCs see them, as a whole; None where not.
 
     ``pairs`` and ``figures`` say how well the RPCs agree, which shows how good their heights are.
     """
@@ -37,18 +38,19 @@ def heights_off(
     control = [gcp for gcp in gcps if gcp.role == "control"]
     offsets = [(gcp, offset[2]) for gcp in control for offset in [intersect(gcp, plain)] if offset is not None]
     if not offsets:
-        return ""
+        return None
     middle = float(np.median([up for _, up in offsets]))
     usual = parameters.places.believable * min(usual_up_m, promised_up_m)
     if abs(middle) <= usual:
-        return ""
+        return None
     lon, lat, height = np.median([gcp.lon_lat_h for gcp, _ in offsets], axis=0)
     cause = likely_cause(middle, float(height), float(lon), float(lat), usual)
     if not cause and abs(middle) <= parameters.places.believable * promised_up_m:
-        return ""
+        return None
     why = f"They would {'rise' if middle > 0 else 'fall'} by {cause.lstrip('+-')}: check" if cause else "Check"
-    return (
+    text = (
         f"The control points lie {abs(middle):.1f} m {'below' if middle > 0 else 'above'} where the vendors' RPCs see "
         f"them, as a whole, and usual errors of the RPCs are within {usual:.1f} m. {why} the unit of their heights and "
         "GCP_DATUM."
     )
+    return Finding("gcp-heights-off", text, "doubt")

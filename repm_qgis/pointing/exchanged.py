@@ -20,6 +20,7 @@ from typing import Callable, Dict, Iterator, List, Sequence, Set, Tuple
 import numpy as np
 
 from ..contracts.errors import RpcInvalidError
+from ..contracts.findings import Finding
 from ..scene import View
 from ..stereo.pairing import convergence
 from ..ties.tracks import Track
@@ -120,7 +121,7 @@ def require_own_rpcs(
     views: Sequence[View],
     tracks: Sequence[Track],
     altitude: float,
-    warn: Callable[[str], None],
+    warn: Callable[[Finding], None],
     parameters: PointingParameters = POINTING,
     *,
     info: Callable[[str], None] = lambda text: None,
@@ -151,7 +152,5 @@ def require_own_rpcs(
                 f"The images {first} and {second} have each other's RPC: {found}. Heights would be upside down: "
                 f"{remedy}."
             )
-        warn(
-            f"The images {first} and {second} may have each other's RPC: {found}. Heights may be upside down: compare "
-            f"them with a DEM, or {remedy}."
-        )
+        text = f"The images {first} and {second} may have each other's RPC: {found}. Heights may be upside down"
+        warn(Finding("rpcs-exchanged", f"{text}: compare them with a DEM, or {remedy}.", "doubt"))

@@ -14,6 +14,7 @@ import pyproj
 
 from ..contracts.arrays import FloatArray
 from ..contracts.errors import InputTableError
+from ..contracts.findings import Finding
 from ..files.tables import CsvTable, LayerTable, Limits, number_in
 from ..files.vector import file_and_layer
 from ..geometry.frames import EnuFrame, install_grid, vertical_operations
@@ -56,7 +57,7 @@ def read_gcps(
     path: str,
     views: Optional[Sequence[View]],
     datum: Optional[str] = None,
-    warn: Callable[[str], None] = lambda text: None,
+    warn: Callable[[Finding], None] = lambda text: None,
 ) -> List[Gcp]:
     """Read points from a CSV file or a file with a layer of points that OGR opens, one row for each observation.
 
@@ -106,7 +107,7 @@ def read_gcps(
 
 
 def _measured_elsewhere(
-    path: str, points: Iterable[Gcp], elsewhere: Counter[str], views: Sequence[View], warn: Callable[[str], None]
+    path: str, points: Iterable[Gcp], elsewhere: Counter[str], views: Sequence[View], warn: Callable[[Finding], None]
 ) -> None:
     """Report measurements (a count for each name) in images that are not among the views; raise InputTableError where
     there are no others."""
@@ -117,10 +118,8 @@ def _measured_elsewhere(
             "file names in its field 'view'."
         )
     count = counted(sum(elsewhere.values()), "measurement")
-    warn(
-        f"Left out of '{path}': {count} in images that are not used here ({theirs}); those in {ours} are used. If a "
-        "name is misspelt, correct it in the field 'view'."
-    )
+    text = f"{count} in images that are not used here ({theirs}); those in {ours} are used. If a name is misspelt"
+    warn(Finding("points-elsewhere", f"Left out of '{path}': {text}, correct it in the field 'view'."))
 
 
 def point_of(place: str, row: Mapping[str, object]) -> Gcp:

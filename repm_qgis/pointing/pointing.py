@@ -10,6 +10,7 @@ import numpy as np
 
 from ..contracts.arrays import Altitudes, Bounds, FloatArray
 from ..contracts.errors import EmptyResultError, RpcInvalidError
+from ..contracts.findings import Finding
 from ..contracts.records import GcpFigures, PairFigures, PointingFigures, ViewPair
 from ..geometry.footprints import ray_slope
 from ..geometry.frames import projected_from_geodetic
@@ -245,8 +246,11 @@ def _log(views: Sequence[View], figures: PointingFigures, parameters: PointingPa
         )
     for identity in figures.rejected_gcps:
         progress.warn(
-            f"The control point {identity} contradicts all others and was left out: check its coordinates, its "
-            "vertical datum, and its pixels."
+            Finding(
+                "gcp-contradicts",
+                f"The control point {identity} contradicts all others and was left out: check its coordinates, its "
+                "vertical datum, and its pixels.",
+            )
         )
     for text in absolute_height(views, figures, parameters.planning):
         progress.info(text)

@@ -20,6 +20,7 @@ from typing import Iterator, List, Sequence, Tuple
 import numpy as np
 
 from ..contracts.arrays import FloatArray
+from ..contracts.findings import Finding
 from ..contracts.records import GroundShift
 from .estimation import split
 from .parameters import REGISTRATION, RegistrationParameters
@@ -155,21 +156,22 @@ def _linked(scene: int, observations: Sequence[Observation]) -> List[Observation
     return [each for each in observations if each.first in reached]
 
 
-def contradictions(observations: Sequence[Observation], parameters: RegistrationParameters = REGISTRATION) -> List[str]:
+def contradictions(
+    observations: Sequence[Observation], parameters: RegistrationParameters = REGISTRATION
+) -> List[Finding]:
     """Sentences about two sources that contradict each other about one scene."""
-    return [
+    texts = [
         f"{first.source} and {second.source} contradict each other by {abs(apart):.2f} m {_AXES[axis]}, where "
         f"{deviation:.2f} m are expected (one standard deviation): check the places, dates and vertical datums of both."
         for first, second, axis, apart, deviation in _contradicting(observations, parameters)
     ]
+    return [Finding("references-contradict", text, "doubt") for text in texts]
 
 
 _Contradiction = Tuple[Observation, Observation, int, float, float]
 
 
-def _contradicting(
-    observations: Sequence[Observation], parameters: RegistrationParameters
-) -> Iterator[_Contradiction]:
+def _contradicting(observations: Sequence[Observation], parameters: RegistrationParameters) -> Iterator[_Contradiction]:
     """Two sources about one scene, an axis, by how much they differ there, and one deviation of that, m."""
     alone = [each for each in observations if each.second < 0]
     for first, second in combinations(alone, 2):

@@ -11,7 +11,9 @@ from .found import FoundHeights
 from .parameters import REGISTRATION, RegistrationParameters
 
 
-def copies(references: Sequence[FoundHeights], parameters: RegistrationParameters = REGISTRATION) -> List[Tuple[int, int]]:
+def copies(
+    references: Sequence[FoundHeights], parameters: RegistrationParameters = REGISTRATION
+) -> List[Tuple[int, int]]:
     """The references that are copies: (number, number of an earlier one with the same heights)."""
     found: List[Tuple[int, int]] = []
     for later in range(len(references)):
@@ -22,9 +24,7 @@ def copies(references: Sequence[FoundHeights], parameters: RegistrationParameter
     return found
 
 
-def are_same(
-    first: FoundHeights, second: FoundHeights, parameters: RegistrationParameters = REGISTRATION
-) -> bool:
+def are_same(first: FoundHeights, second: FoundHeights, parameters: RegistrationParameters = REGISTRATION) -> bool:
     """Whether two references have the same heights in the same places, whatever their files' format, order and datum: a
     file and its copy, or a part of it. No two surveys agree to a millimetre."""
     from scipy.spatial import cKDTree

@@ -80,9 +80,7 @@ def correlated_sum(scores: FloatArray, place: FloatArray, correlation: Correlati
     down, right = (np.minimum(np.arange(n), n - np.arange(n)) * cell for n in padded)
     spectrum = np.fft.rfft2(correlation.at(np.hypot(down[:, None], right[None, :])))
     sums = [np.bincount(index, column, shape[0] * shape[1]).reshape(shape) for column in scores.T]
-    smeared = [
-        np.fft.irfft2(np.fft.rfft2(each, padded) * spectrum, padded)[: shape[0], : shape[1]] for each in sums
-    ]
+    smeared = [np.fft.irfft2(np.fft.rfft2(each, padded) * spectrum, padded)[: shape[0], : shape[1]] for each in sums]
     apart = np.array([[float((a * b).sum()) for b in smeared] for a in sums])
     alone = 1.0 - float(correlation.at(np.zeros(1))[0])  # what is each height's own
     return np.asarray(alone * scores.T @ scores + (apart + apart.T) / 2)

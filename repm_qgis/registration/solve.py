@@ -368,9 +368,7 @@ class _Problem:
         apart[3:] = 0.0
         return solution, found[1] + np.outer(apart, apart), found[2]
 
-    def local_offsets(
-        self, solution: _Solution, free: FloatArray, correlation: Correlation
-    ) -> Iterator[LocalOffset]:
+    def local_offsets(self, solution: _Solution, free: FloatArray, correlation: Correlation) -> Iterator[LocalOffset]:
         """The shifts that parts of the surface alone would need, in the directions that the whole determines: a step
         from the solution, as far as the part's own heights determine it."""
         p, basis = self._parameters, _basis(free, False)

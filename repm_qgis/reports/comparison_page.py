@@ -8,6 +8,7 @@ from typing import List, Mapping, Sequence, Tuple
 import numpy as np
 
 from ..contracts.arrays import FloatArray
+from ..contracts.findings import Finding
 from ..evaluation.comparison import Comparison
 from ..evaluation.grids import Grid, cell_sides
 from ..evaluation.metrics import HeightMetrics
@@ -88,13 +89,14 @@ def _profiles(page: Report, everyone: Mapping[str, Comparison]) -> None:
         page.svg(charts.curves(series, "distance (m)", "height (m)", profile.name), "Heights after the alignment.")
 
 
-def _findings(everyone: Mapping[str, Comparison]) -> List[str]:
+def comparison_findings(compared: Sequence[Comparison]) -> List[Finding]:
     """The findings of all DSMs; where there are several, each finding names its DSM."""
-    found = []
-    for name, one in everyone.items():
-        said = verdict.of_comparison(one.metrics, max(*cell_sides(one.dsm), *cell_sides(one.reference)))
-        found += [f"Of the DSM '{name}': {text}" for text in said] if len(everyone) > 1 else said
-    return found
+    findings = []
+    for name, one in zip(_names(compared), compared):
+        own = verdict.of_comparison(one.metrics, max(*cell_sides(one.dsm), *cell_sides(one.reference)))
+        several = f"Of the DSM '{name}': " if len(compared) > 1 else ""
+        findings += [Finding(each.id, f"{several}{each}", each.level) for each in own]
+    return findings
 
 
 def _summary(page: Report, found: Comparison, everyone: Mapping[str, Comparison]) -> None:
@@ -103,14 +105,12 @@ def _summary(page: Report, found: Comparison, everyone: Mapping[str, Comparison]
         f"The median difference is {m.bias:+.3f} m, and half of the heights are within {m.medae:.3f} m of the "
         "reference."
     )
-    page.verdict(good, _findings(everyone))
+    page.verdict(good)
     page.paragraph(
         f"{m.cells} of {m.reference_cells} reference cells have a DSM height ({m.valid:.1f} %). "
         f"Half of them are within {m.medae:.3f} m of the reference; NMAD {m.nmad:.3f} m, RMSE {m.rmse:.3f} m, "
         f"LE90 {m.le90:.3f} m, bias {m.bias:+.3f} m."
     )
-    for text in found.warnings:
-        page.warning(text)
 
 
 def _input_rows(found: Comparison) -> List[List[str]]:

@@ -11,7 +11,7 @@ from ..evaluation.gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy
 from ..geometry.frames import EnuFrame, mean_place
 from ..numerics.accuracy import EXPLAINED, LEAST_POINTS
 from ..runtime.progress import counted
-from . import charts, verdict
+from . import charts
 from .report import Report, fixed
 
 _MOST_LABELS = 60
@@ -23,9 +23,7 @@ _SHORT = {"rpc": "RPC", "compensated": "compensated", "scene": "scene", "dsm": "
 def gcp_page(found: GcpAccuracy, options: CheckGcpsOptions) -> Report:
     """The accuracy of the images' geometry and of the DSM at the points, for the analyst."""
     page = Report("Accuracy at ground control points", _counts(found))
-    page.verdict(_good(found), verdict.of_points(found))
-    for text in found.warnings:
-        page.warning(text)
+    page.verdict(_good(found))
     _heights(page, found)
     _components(page, found)
     _arrows(page, found)

@@ -184,8 +184,8 @@ def _absolute(report: Report, scene: Scene, ties: PointingFigures) -> None:
     points, rejected = ties.gcps, ties.rejected_gcps
     if rejected:
         points_text = f"{counted(len(rejected), 'control point')} contradicted all others and could not be used in"
-        remedy = "check their coordinates, the datum of their heights, and the measured pixels."
-        report.warning(f"{points_text} the adjustment: {', '.join(rejected)}.", remedy)
+        remedy = "Check their coordinates, the datum of their heights, and the measured pixels."
+        report.paragraph(f"{points_text} the adjustment: {', '.join(rejected)}. {remedy}")
     if not points:
         return
     if ties.control_noise_px is not None:

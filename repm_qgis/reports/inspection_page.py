@@ -48,8 +48,6 @@ def inspection_page(
     if outlook:
         page.paragraph(outlook)
     _choices(page, choices)
-    for path, reason in unusable.items():
-        page.warning(f"'{os.path.basename(path)}' cannot be used: {reason}")
     for number, place in enumerate(places, start=1):
         of = f" of place {number}" if len(places) > 1 else ""
         caption = f"Footprints{of} at {place.altitude:.0f} m above the ellipsoid, north up ({place.crs})."

@@ -25,13 +25,11 @@ def registration_page(scene: Scene, figures: RegistrationFigures) -> Report:
     names = ", ".join(f"'{os.path.basename(each.file)}'" for each in figures.references)
     page = Report("Registration to a reference", names or "Scenes that overlap")
     east, north, up = figures.latest.moved
+    record = scene.record_of("register")
     page.verdict(
         f"The scene was moved by {math.hypot(east, north):.2f} m horizontally and {up:+.2f} m in height.",
-        verdict.of_registration(figures),
+        record.warnings if record else verdict.of_registration(figures),
     )
-    record = scene.record_of("register")
-    for text in record.warnings if record else ():
-        page.warning(text)
     add_registration(page, figures)
     if figures.waves_m is not None:
         add_jitter(page, scene)

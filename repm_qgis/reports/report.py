@@ -1,7 +1,7 @@
 """One HTML page that holds everything it shows: it opens offline, prints, and asks no server for anything.
 
 >>> page = Report("DSM compared", "dsm.tif against truth.tif")
->>> page.section("Accuracy").table("metric | value", [["RMSE", "0.42 m"]]).write("report.html")
+>>> page.section("Accuracy").table("metric | value", [["RMSE", "0.42 m"]]).write("report.html", run)
 
 The templates lie in ``resources/templates``. They escape all text; only drawings of
 :mod:`repm_qgis.reports.charts` are taken as they are.
@@ -18,6 +18,8 @@ import re
 import struct
 from typing import Dict, Iterable, List, Sequence, Tuple, Union
 
+from ..contracts.findings import Finding, distinct
+from ..runtime.progress import Recorder
 from ..runtime.translation import labels, reader
 from ..runtime.workspace import write_text
 from .readable import readable
@@ -106,13 +108,14 @@ class Report:
         rows = [[number(cell) for cell in row] for row in body[:most]]
         return self._add("table", columns=list(zip(titles, kinds)), rows=rows, caption=caption)
 
-    def warning(self, text: str, remedy: str = "") -> Report:
-        """Something the reader should know; ``remedy`` says what to do about it."""
-        return self._add("warning", text=text, remedy=remedy)
+    def verdict(self, good: str, findings: Sequence[Finding] = (), *, about: bool = False) -> Report:
+        """Whether the result can be used as it is: what is ``good``, or else what is to be looked at, which are these
+        ``findings`` and those of the run (:meth:`write`).
 
-    def verdict(self, good: str, findings: Sequence[str]) -> Report:
-        """Whether the result can be used as it is: what is ``good``, or else the findings to look at."""
-        return self._add("verdict", good=good, findings=list(findings))
+        ``about``: the sentence says what was found in the world, such as damage, which is never called good, and
+        stands there beside findings too.
+        """
+        return self._add("verdict", good=good, findings=list(findings), about=about)
 
     def png(self, data: bytes, caption: str = "") -> Report:
         """A PNG, carried inside the page, and shown so many times larger that it can be read: a small surface has few
@@ -138,21 +141,33 @@ class Report:
         """Text to copy, such as a command line; one click selects all of it."""
         return self._add("command", text=text)
 
-    def html(self) -> str:
-        """The whole page."""
+    def html(self, run: Sequence[Finding] = ()) -> str:
+        """The whole page, with what the run has found in its verdict, or at its top."""
         made = datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z").strip()
         head = {"title": self._title, "of": self._of, "subtitle": self._subtitle, "sections": self._sections}
         head["language"] = reader().language
-        made_page = page("report.html", parts=self._parts, made=made, **head)
+        parts = [(kind, _with(values, run) if kind == "verdict" else values) for kind, values in self._parts]
+        if run and "verdict" not in dict(parts):
+            parts.insert(0, ("verdict", {"good": "", "findings": list(run), "about": False}))
+        made_page = page("report.html", parts=parts, made=made, **head)
         return readable(made_page, reader().language, labels())
 
-    def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the page, whole or not at all. Raises WorkspaceError where the file cannot be written."""
-        write_text(os.fspath(path), self.html())
+    def write(self, path: str | os.PathLike[str], run: Recorder) -> None:
+        """Write the page, whole or not at all, with the findings of the run in its verdict.
+
+        Raises WorkspaceError where the file cannot be written.
+        """
+        write_text(os.fspath(path), self.html(run.findings))
 
     def _add(self, kind: str, **values: object) -> Report:
         self._parts.append((kind, values))
         return self
+
+
+def _with(verdict: Dict[str, object], run: Sequence[Finding]) -> Dict[str, object]:
+    """A verdict with the findings of the run behind its own."""
+    own: Sequence[Finding] = verdict["findings"]  # type: ignore[assignment]  # of Report.verdict
+    return {**verdict, "findings": distinct([*own, *run])}
 
 
 def _kind_of(cells: Sequence[object]) -> str:

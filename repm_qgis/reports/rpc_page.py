@@ -10,7 +10,6 @@ from ..contracts.arrays import FloatArray
 from ..rpc.correction import CorrectedRpc
 from ..runtime.progress import counted
 from ..scene import View
-from . import verdict
 from .report import Report, fixed
 
 
@@ -43,10 +42,7 @@ def within_px(exported: Sequence[ExportedRpc]) -> float:
 def rpc_page(exported: Sequence[ExportedRpc], scene: str) -> Report:
     """How each RPC was corrected, how far it is from the pointed model, and where the image moves on the ground."""
     page = Report("Corrected RPCs", counted(len(exported), "image"))
-    page.verdict(
-        f"Every exported RPC is within {within_px(exported):.4f} px of the pointed model.",
-        verdict.of_rpcs({each.view.name: each.corrected for each in exported}),
-    )
+    page.verdict(f"Every exported RPC is within {within_px(exported):.4f} px of the pointed model.")
     rows = []
     for each in exported:
         made = each.corrected

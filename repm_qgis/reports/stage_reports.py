@@ -40,8 +40,7 @@ def fit_report(scene: Scene) -> Report:
     """Equivalent errors of the fitted cameras, measured and predicted."""
     report = Report("Equivalent pinhole cameras", f"{len(scene.views)} images, {counted(len(scene.tiles), 'tile')}")
     good = f"The cameras differ from the RPCs by at most {verdict.fitted_error_px(scene):.2g} px (RMSE of a tile)."
-    report.verdict(good, verdict.of_fit(scene))
-    _warnings(report, scene)
+    report.verdict(good, [*verdict.of_history(scene), *verdict.of_fit(scene)])
     _inputs(report, scene)
     report.section("Equivalent error")
     report.paragraph(
@@ -68,8 +67,7 @@ def refine_report(scene: Scene) -> Report:
     report = Report("Refined images", f"model: {scene.refinement}")
     worst = verdict.largest_error_px(scene) or 0.0
     good = f"The cameras differ from the RPCs by at most {worst:.2g} px (RMSE of a tile)."
-    report.verdict(good, verdict.of_refinement(scene))
-    _warnings(report, scene)
+    report.verdict(good, [*verdict.of_history(scene), *verdict.of_refinement(scene)])
     _errors(report, scene)
     add_error_study(report, scene)
     return _history(report, scene)
@@ -79,7 +77,6 @@ def reconstruct_report(scene: Scene) -> Report:
     """Tie points, relative pointing and height maps."""
     report = Report("Reconstruction", f"{len(scene.views)} images, {counted(len(scene.tiles), 'tile')}")
     _verdict(report, scene)
-    _warnings(report, scene)
     _reconstruction(report, scene)
     return _history(report, scene)
 
@@ -88,7 +85,7 @@ def errormap_report(scene: Scene, view: View, path: str, rmse: float, max_error:
     """An error map's picture and figures (px; the altitude in m above the ellipsoid)."""
     report = Report("Equivalent error on the ground", f"{view.name} at {altitude:.0f} m above the ellipsoid")
     good = f"The cameras of this view differ from the RPC by {rmse:.2g} px (RMSE), which does not disturb matching."
-    report.verdict(good, verdict.of_error_map(rmse, bool(scene.refinement)))
+    report.verdict(good)
     refinement = scene.refinement or "none yet: the images as they are"
     report.facts([("Refinement", refinement), ("RMSE", f"{rmse:.3g} px"), ("Max", f"{max_error:.3g} px")])
     values, _ = pictures.preview(path, 900)
@@ -129,7 +126,6 @@ def pipeline_report(scene: Scene, result: PipelineResult, command: Optional[str]
     if result.ortho:
         picture = pictures.png_bytes(pictures.photograph(result.ortho, 800))
         report.png(picture, "The orthophoto, north up. White: no image shows the ground there, or it has no height.")
-    _warnings(report, scene)
     _inputs(report, scene)
     _errors(report, scene)
     _reconstruction(report, scene)
@@ -198,13 +194,7 @@ def _verdict(report: Report, scene: Scene, facts: Optional[FusionFacts] = None) 
     compared = facts is not None and facts.dem_offset is not None
     if facts is not None and not compared and (scene.pointing is None or not scene.pointing.gcps):
         good.append("Nothing here measures the absolute position: only ground control points or a reference can.")
-    report.verdict(" ".join(good), verdict.of_run(scene, facts))
-
-
-def _warnings(report: Report, scene: Scene) -> None:
-    """All warnings of the stages, at the top of the page."""
-    for text in dict.fromkeys(text for entry in scene.history for text in entry.warnings):
-        report.warning(text)
+    report.verdict(" ".join(good), [*verdict.of_run(scene, facts), *verdict.of_history(scene)])
 
 
 def _inputs(report: Report, scene: Scene) -> None:

@@ -6,11 +6,13 @@ the bound; no finding is a good result.
 
 from __future__ import annotations
 
+import math
 import os
-from typing import List, Mapping, NamedTuple, Optional, Sequence
+from typing import List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
+from ..contracts.findings import Finding, distinct
 from ..contracts.records import FusionFacts, PairFigures, RegistrationFigures
 from ..evaluation.gcp_accuracy import GcpAccuracy
 from ..evaluation.metrics import HeightMetrics
@@ -22,78 +24,106 @@ from ..scene import Scene
 from .parameters import VERDICT, VerdictParameters
 
 _MOST_PAIRS = 5  # that are named
+_FEW_MEASURED = 0.5  # of a roof
+_MANY_OBJECTS_PERCENT = 80.0
 
 
-def of_run(scene: Scene, facts: Optional[FusionFacts] = None, bounds: VerdictParameters = VERDICT) -> List[str]:
+def of_run(scene: Scene, facts: Optional[FusionFacts] = None, bounds: VerdictParameters = VERDICT) -> List[Finding]:
     """The findings of a reconstructed scene and, where there is one, of its DSM."""
-    found = []
-    if facts is not None and facts.valid_percent < bounds.least_covered_percent:
-        found.append(
-            f"Only {facts.valid_percent:.0f} % of the ground that two images see has a height (usual: at least "
-            f"{bounds.least_covered_percent:g} %): see 'Height maps'."
-        )
-    if facts is not None and facts.dem_offset is not None and facts.dem_offset.unexpected:
-        found.append(facts.dem_offset.sentence())
+    found = of_surface(facts, bounds) if facts is not None else []
     ties = scene.pointing
     if ties is not None and ties.after_px > bounds.most_residual_px:
         found.append(
-            f"The median residual of the tie points is {ties.after_px:.2f} px (usual: at most "
-            f"{bounds.most_residual_px:g} px): see 'Tie points'."
+            Finding(
+                "tie-residual",
+                f"The median residual of the tie points is {ties.after_px:.2f} px (usual: at most "
+                f"{bounds.most_residual_px:g} px): see 'Tie points'.",
+            )
         )
     found += _parallaxes(ties.pairs if ties is not None else (), bounds)
     if ties is not None and ties.rejected_gcps:
         found.append(
-            f"Control points contradict the others ({', '.join(ties.rejected_gcps)}): see 'Absolute position'."
+            Finding(
+                "gcps-contradict",
+                f"Control points contradict the others ({', '.join(ties.rejected_gcps)}): see 'Absolute position'.",
+            )
         )
     found += _cameras(scene, bounds)
     if scene.registration is not None:
         found += of_registration(scene.registration, bounds)
-    return found + _warnings(scene)
+    return found
 
 
-def _parallaxes(pairs: Sequence[PairFigures], bounds: VerdictParameters) -> List[str]:
+def of_surface(facts: FusionFacts, bounds: VerdictParameters = VERDICT) -> List[Finding]:
+    """The findings of a fused surface."""
+    found = []
+    if facts.valid_percent < bounds.least_covered_percent:
+        found.append(
+            Finding(
+                "coverage-low",
+                f"Only {facts.valid_percent:.0f} % of the ground that two images see has a height (usual: at least "
+                f"{bounds.least_covered_percent:g} %): look at the confidence, and at 'Height maps'.",
+            )
+        )
+    if facts.dem_offset is not None and facts.dem_offset.unexpected:
+        found.append(Finding("dem-apart", facts.dem_offset.sentence(), "doubt"))
+    return found
+
+
+def of_history(scene: Scene) -> List[Finding]:
+    """What the stages of a scene have found, each sentence once."""
+    return distinct(finding for entry in scene.history for finding in entry.warnings)
+
+
+def _parallaxes(pairs: Sequence[PairFigures], bounds: VerdictParameters) -> List[Finding]:
     """The pairs that keep the most vertical parallax, and how many more there are: a block of frames has very many."""
     worst = sorted((pair for pair in pairs if pair.after_px > bounds.most_parallax_px), key=lambda pair: -pair.after_px)
     found = [
-        f"{pair.pair[0]} and {pair.pair[1]} keep a vertical parallax of {pair.after_px:.2f} px (usual: at most "
-        f"{bounds.most_parallax_px:g} px): see 'Tie points'."
+        Finding(
+            "vertical-parallax",
+            f"{pair.pair[0]} and {pair.pair[1]} keep a vertical parallax of {pair.after_px:.2f} px (usual: at most "
+            f"{bounds.most_parallax_px:g} px): see 'Tie points'.",
+        )
         for pair in worst[:_MOST_PAIRS]
     ]
     more = len(worst) - _MOST_PAIRS
     if more > 0:
-        found.append(f"The same holds for {counted(more, 'more pair')}: see 'Tie points'.")
+        found.append(
+            Finding("vertical-parallax-more", f"The same holds for {counted(more, 'more pair')}: see 'Tie points'.")
+        )
     return found
 
 
-def of_refinement(scene: Scene, bounds: VerdictParameters = VERDICT) -> List[str]:
+def of_refinement(scene: Scene, bounds: VerdictParameters = VERDICT) -> List[Finding]:
     """The findings of a refined scene's cameras."""
-    return _cameras(scene, bounds) + _warnings(scene)
+    return _cameras(scene, bounds)
 
 
-def of_fit(scene: Scene, bounds: VerdictParameters = VERDICT) -> List[str]:
+def of_fit(scene: Scene, bounds: VerdictParameters = VERDICT) -> List[Finding]:
     """The findings of cameras that are fitted, and whose images are not refined yet."""
     found, worst = [], fitted_error_px(scene)
     if worst > bounds.most_equivalent_px:
         found.append(
-            f"The cameras of a tile differ from the RPC by {worst:.2f} px (RMSE; matching needs at most "
-            f"{bounds.most_equivalent_px:g} px): refine the images, or choose a smaller TILE_SIZE."
+            Finding(
+                "equivalent-error",
+                f"The cameras of a tile differ from the RPC by {worst:.2f} px (RMSE; matching needs at most "
+                f"{bounds.most_equivalent_px:g} px): refine the images, or choose a smaller TILE_SIZE.",
+            )
         )
-    return found + _warnings(scene)
+    return found
 
 
-def _cameras(scene: Scene, bounds: VerdictParameters) -> List[str]:
+def _cameras(scene: Scene, bounds: VerdictParameters) -> List[Finding]:
     worst = largest_error_px(scene)
     if worst is None or worst <= bounds.most_equivalent_px:
         return []
     return [
-        f"The cameras of a tile differ from the RPC by {worst:.2f} px (RMSE; usual: at most "
-        f"{bounds.most_equivalent_px:g} px): see 'Equivalent error'."
+        Finding(
+            "equivalent-error",
+            f"The cameras of a tile differ from the RPC by {worst:.2f} px (RMSE; usual: at most "
+            f"{bounds.most_equivalent_px:g} px): see 'Equivalent error'.",
+        )
     ]
-
-
-def _warnings(scene: Scene) -> List[str]:
-    count = len(dict.fromkeys(text for entry in scene.history for text in entry.warnings))
-    return [f"Warnings of the stages (listed below): {count}."] if count else []
 
 
 def fitted_error_px(scene: Scene) -> float:
@@ -107,31 +137,45 @@ def largest_error_px(scene: Scene) -> Optional[float]:
     return max(errors, default=None)
 
 
-def of_error_map(rmse: float, refined: bool, bounds: VerdictParameters = VERDICT) -> List[str]:
+def of_error_map(rmse: float, refined: bool, bounds: VerdictParameters = VERDICT) -> List[Finding]:
     """The findings of one view's equivalent error at an altitude, px."""
     if rmse <= bounds.most_equivalent_px:
         return []
     most = bounds.most_equivalent_px
     if refined:
         return [
-            f"The refined cameras of this view differ from the RPC by {rmse:.2f} px (RMSE; matching needs at most "
-            f"{most:g} px): choose a smaller TILE_SIZE, or another MODEL."
+            Finding(
+                "equivalent-error",
+                f"The refined cameras of this view differ from the RPC by {rmse:.2f} px (RMSE; matching needs at most "
+                f"{most:g} px): choose a smaller TILE_SIZE, or another MODEL.",
+            )
         ]
     return [
-        f"The cameras of this view differ from the RPC by {rmse:.2f} px (RMSE; matching needs at most {most:g} px): "
-        "refine the images."
+        Finding(
+            "equivalent-error",
+            f"The cameras of this view differ from the RPC by {rmse:.2f} px (RMSE; matching needs at most {most:g} "
+            "px): "
+            "refine the images.",
+        )
     ]
 
 
-def of_points(found: GcpAccuracy, bounds: VerdictParameters = VERDICT) -> List[str]:
+def of_points(found: GcpAccuracy, bounds: VerdictParameters = VERDICT) -> List[Finding]:
     """The findings of a check against ground control points."""
     said = []
     if found.wrong:
-        said.append(f"Control points contradict the others ({', '.join(found.wrong)}): see 'Points'.")
+        said.append(
+            Finding(
+                "gcps-contradict", f"Control points contradict the others ({', '.join(found.wrong)}): see 'Points'."
+            )
+        )
     count = int(found.rows().sum())
     if count < bounds.least_points:
         said.append(
-            f"Points that can be used: {count} (with fewer than {bounds.least_points}, a wrong one is not found)."
+            Finding(
+                "points-few",
+                f"Points that can be used: {count} (with fewer than {bounds.least_points}, a wrong one is not found).",
+            )
         )
     column = next((name for name in ("scene", "compensated") if name in found.residuals), "")
     if column:
@@ -140,18 +184,24 @@ def of_points(found: GcpAccuracy, bounds: VerdictParameters = VERDICT) -> List[s
         middle = float(np.median(size)) if size else 0.0
         if middle > GCPS.wrong_px:
             said.append(
-                f"The median residual of the points in the images is {middle:.2f} px (usual: at most "
-                f"{GCPS.wrong_px:g} px): see 'In the images', and give the points to 'Reconstruct heights' as GCPS."
+                Finding(
+                    "point-residual",
+                    f"The median residual of the points in the images is {middle:.2f} px (usual: at most "
+                    f"{GCPS.wrong_px:g} px): see 'In the images', and give the points to 'Reconstruct heights' as "
+                    "GCPS.",
+                )
             )
     up = found.errors["dsm"][found.rows(), 2] if "dsm" in found.errors else np.empty(0)
     up = up[np.isfinite(up)]
     if up.size and abs(np.median(up)) > max(bounds.most_bias_nmads * nmad(up), bounds.most_bias_m):
         said.append(
-            f"The DSM's heights differ from the points' by {np.median(up):+.2f} m as a whole, which is much more than "
-            "their spread: check GCP_DATUM, the DSM's vertical datum and its absolute position."
+            Finding(
+                "heights-off",
+                f"The DSM's heights differ from the points' by {np.median(up):+.2f} m as a whole, which is much more "
+                "than "
+                "their spread: check GCP_DATUM, the DSM's vertical datum and its absolute position.",
+            )
         )
-    if found.warnings:
-        said.append(f"Warnings (listed below): {len(found.warnings)}.")
     return said
 
 
@@ -164,9 +214,7 @@ class Difference(NamedTuple):
     nmad: float
 
 
-def of_mosaic(
-    differences: Sequence[Difference], warnings: Sequence[str], bounds: VerdictParameters = VERDICT
-) -> List[str]:
+def of_mosaic(differences: Sequence[Difference], bounds: VerdictParameters = VERDICT) -> List[Finding]:
     """The findings of a mosaic, from all overlaps of its DSMs."""
     said = []
     wide = [
@@ -175,116 +223,191 @@ def of_mosaic(
     if wide:
         worst = max(wide, key=lambda each: abs(each.median))
         said.append(
-            f"Overlaps whose DSMs still differ after the offsets: {len(wide)} of {len(differences)}, at most "
-            f"{abs(worst.median):.2f} m (DSMs {worst.first} and {worst.second}): see 'Overlaps', and check the "
-            "vertical datums."
+            Finding(
+                "overlaps-differ",
+                f"Overlaps whose DSMs still differ after the offsets: {len(wide)} of {len(differences)}, at most "
+                f"{abs(worst.median):.2f} m (DSMs {worst.first} and {worst.second}): see 'Overlaps', and check the "
+                "vertical datums.",
+            )
         )
     apart = [each for each in differences if each.nmad > bounds.most_spread_m]
     if apart:
         worst = max(apart, key=lambda each: each.nmad)
         said.append(
-            f"Overlaps whose DSMs do not show the same surface: {len(apart)} of {len(differences)}; those of DSMs "
-            f"{worst.first} and {worst.second} differ by {worst.nmad:.1f} m (NMAD; usual: at most "
-            f"{bounds.most_spread_m:g} m): check their places, units and RPCs."
+            Finding(
+                "overlaps-other-surface",
+                f"Overlaps whose DSMs do not show the same surface: {len(apart)} of {len(differences)}; those of DSMs "
+                f"{worst.first} and {worst.second} differ by {worst.nmad:.1f} m (NMAD; usual: at most "
+                f"{bounds.most_spread_m:g} m): check their places, units and RPCs.",
+                "doubt",
+            )
         )
-    if warnings:
-        said.append(f"Warnings (listed below): {len(warnings)}.")
     return said
 
 
-def of_comparison(metrics: HeightMetrics, cell_m: float = 0.0, bounds: VerdictParameters = VERDICT) -> List[str]:
+def of_comparison(metrics: HeightMetrics, cell_m: float = 0.0, bounds: VerdictParameters = VERDICT) -> List[Finding]:
     """The findings of a comparison with a reference; ``cell_m`` is the side of the larger cells of both, m."""
     found = []
     most_spread = max(bounds.most_spread_m, bounds.most_spread_cells * cell_m)
     if metrics.nmad > most_spread:
         found.append(
-            f"The heights spread by {metrics.nmad:.1f} m about the reference's (NMAD; usual: at most "
-            f"{most_spread:g} m), so the two do not show the same surface: check the unit and scale of both, their "
-            "CRS and place, and the RPCs that the DSM was made with."
+            Finding(
+                "other-surface",
+                f"The heights spread by {metrics.nmad:.1f} m about the reference's (NMAD; usual: at most "
+                f"{most_spread:g} m), so the two do not show the same surface: check the unit and scale of both, their "
+                "CRS and place, and the RPCs that the DSM was made with.",
+                "doubt",
+            )
         )
     if metrics.valid < bounds.least_compared_percent:
         found.append(
-            f"The DSM covers only {metrics.valid:.1f} % of the reference's cells, and the completeness counts all of "
-            "them: cut the reference to the DSM's area if the DSM was not meant to cover the rest."
+            Finding(
+                "compared-few",
+                f"The DSM covers only {metrics.valid:.1f} % of the reference's cells, and the completeness counts all "
+                "of "
+                "them: cut the reference to the DSM's area if the DSM was not meant to cover the rest.",
+            )
         )
     if abs(metrics.bias) > max(bounds.most_bias_nmads * metrics.nmad, bounds.most_bias_m):
         found.append(
-            f"The heights differ by {metrics.bias:+.2f} m as a whole, which is much more than their spread: check the "
-            "vertical datums and the absolute pointing, or set ALIGN to vertical or 3d."
+            Finding(
+                "heights-off",
+                f"The heights differ by {metrics.bias:+.2f} m as a whole, which is much more than their spread: check "
+                "the "
+                "vertical datums and the absolute pointing, or set ALIGN to vertical or 3d.",
+            )
         )
     return found
 
 
-def of_change(
-    changed_share: float, dz: float, level_m: float, warnings: Sequence[str], bounds: VerdictParameters = VERDICT
-) -> List[str]:
+def of_change(changed_share: float, dz: float, level_m: float, bounds: VerdictParameters = VERDICT) -> List[Finding]:
     """The findings of the change between two dates: the changed share of what was compared, the vertical shift that
     was removed and the median level of detection, m."""
     found = []
     if changed_share > bounds.most_changed_share:
         found.append(
-            f"{100 * changed_share:.0f} % of the ground changed (usual: at most "
-            f"{100 * bounds.most_changed_share:.0f} %): the alignment assumes that most of the ground is stable, so "
-            "align both DSMs before, and set ALIGN to none."
+            Finding(
+                "changed-much",
+                f"{100 * changed_share:.0f} % of the ground changed (usual: at most "
+                f"{100 * bounds.most_changed_share:.0f} %): the alignment assumes that most of the ground is stable, "
+                "so "
+                "align both DSMs before, and set ALIGN to none.",
+            )
         )
     if abs(dz) > bounds.most_offset_m:
         found.append(
-            f"The DSMs differ by {dz:+.1f} m as a whole, which the alignment removed: check that both have the same "
-            "vertical datum."
+            Finding(
+                "dates-apart",
+                f"The DSMs differ by {dz:+.1f} m as a whole, which the alignment removed: check that both have the "
+                "same "
+                "vertical datum.",
+            )
         )
     if level_m > bounds.most_level_m:
         found.append(
-            f"Only changes of more than {level_m:.1f} m can be distinguished from errors (usual: at most "
-            f"{bounds.most_level_m:g} m): see 'Stable ground'."
+            Finding(
+                "level-high",
+                f"Only changes of more than {level_m:.1f} m can be distinguished from errors (usual: at most "
+                f"{bounds.most_level_m:g} m): see 'Stable ground'.",
+            )
         )
-    if warnings:
-        found.append(f"Warnings (listed below): {len(warnings)}.")
     return found
 
 
-def of_registration(figures: RegistrationFigures, bounds: VerdictParameters = VERDICT) -> List[str]:
+def of_buildings(measured: Sequence[float], min_height: float, min_area: float) -> List[Finding]:
+    """The findings of buildings, of whose roofs these shares were measured, not filled in; the lowest height (m) and
+    the smallest area (m2) that were looked for."""
+    if not measured:
+        return [
+            Finding(
+                "no-buildings",
+                f"No building of at least {min_height:g} m and {min_area:g} m2 was found: the layer is empty. Choose a "
+                "smaller MIN_HEIGHT or MIN_AREA, or check that DTM is the terrain below this DSM.",
+            )
+        ]
+    unsure = sum(share < _FEW_MEASURED for share in measured)
+    text = f"Less than half of the roof was measured for {unsure} of the buildings: look at these first."
+    return [Finding("roofs-unsure", text)] if unsure else []
+
+
+def of_terrain(objects_percent: float) -> List[Finding]:
+    """The findings of a terrain, by the share of the DSM's heights that belong to objects."""
+    text = "Most of the heights belong to objects: choose a smaller LARGEST or a larger SLOPE where hills are gone."
+    return [Finding("objects-many", text)] if objects_percent > _MANY_OBJECTS_PERCENT else []
+
+
+def of_registration(figures: RegistrationFigures, bounds: VerdictParameters = VERDICT) -> List[Finding]:
     """The findings of a registration to references."""
     found = []
     if len(figures.determined) < 2:
+        which = f" but along {_azimuth(figures.determined[0])}" if figures.determined else ""
         found.append(
-            "The relief does not determine the horizontal position in every direction: flat ground only determines "
-            "the height. The other directions stay as the vendors' RPCs give them: see 'Registration'."
+            Finding(
+                "relief-level",
+                f"The relief does not determine the horizontal position{which}: there, the scene stays where the "
+                "vendors' RPCs put it. Flat ground only determines the height: see 'Registration'.",
+            )
         )
     for words, size, promise in figures.unexpected():
         found.append(
-            f"The shift of {size:.1f} m {words} is more than expected (nine of ten scenes need at most {promise:.1f} "
-            "m): see 'Registration'."
+            Finding(
+                "shift-unexpected",
+                f"The shift of {size:.1f} m {words} is more than expected (nine of ten scenes need at most "
+                f"{promise:.1f} "
+                "m): see 'Registration'.",
+            )
         )
     for each in figures.references:
         share = each.used / max(each.seen, 1)
         if share < bounds.least_used_share:
             found.append(
-                f"Only {100 * share:.0f} % of the heights of '{os.path.basename(each.file)}' agree with the surface "
-                f"(usual: at least {100 * bounds.least_used_share:.0f} %): see 'Registration'."
+                Finding(
+                    "reference-unlike",
+                    f"Only {100 * share:.0f} % of the heights of '{os.path.basename(each.file)}' agree with the "
+                    "surface "
+                    f"(usual: at least {100 * bounds.least_used_share:.0f} %): see 'Registration'.",
+                    "doubt",
+                )
             )
         if each.other_relief is not None:
-            found.append(each.other_relief.sentence(os.path.basename(each.file)))
+            sentence = each.other_relief.sentence(os.path.basename(each.file))
+            found.append(Finding("relief-other", sentence, "doubt"))
     return found
 
 
-def of_rpcs(exported: Mapping[str, CorrectedRpc], bounds: VerdictParameters = VERDICT) -> List[str]:
+def of_rpcs(exported: Mapping[str, CorrectedRpc], bounds: VerdictParameters = VERDICT) -> List[Finding]:
     """The findings of exported RPCs, by the views' names."""
     if all(each.method == DELIVERED for each in exported.values()):
         return [
-            "The scene has no pointing correction, so these are the RPCs as delivered: run 'Reconstruct heights' "
-            "first, and export the scene that it writes."
+            Finding(
+                "rpcs-as-delivered",
+                "The scene has no pointing correction, so these are the RPCs as delivered: run 'Reconstruct heights' "
+                "first, and export the scene that it writes.",
+            )
         ]
     shaken = {name: each for name, each in exported.items() if each.method == JITTERED}
     return [
-        f"An RPC cannot hold the jitter of {name}: the exported one differs from the pointed model by up to "
-        f"{each.max_px:.2f} px, {each.rms_px:.2f} px in the mean. Products of software that uses it contain these "
-        "waves; this scene's own products do not."
+        Finding(
+            "rpc-without-jitter",
+            f"An RPC cannot hold the jitter of {name}: the exported one differs from the pointed model by up to "
+            f"{each.max_px:.2f} px, {each.rms_px:.2f} px in the mean. Products of software that uses it contain these "
+            "waves; this scene's own products do not.",
+        )
         for name, each in shaken.items()
         if each.max_px > bounds.most_rpc_px
     ] + [
-        f"The exported RPC of {name} differs from the pointed model by up to {each.max_px:.3f} px (usual: at most "
-        f"{bounds.most_rpc_px:g} px), as the correction is too large for the form of an RPC: check the tie points, or "
-        "set POINTING to shift."
+        Finding(
+            "rpc-approximate",
+            f"The exported RPC of {name} differs from the pointed model by up to {each.max_px:.3f} px (usual: at most "
+            f"{bounds.most_rpc_px:g} px), as the correction is too large for the form of an RPC: check the tie "
+            "points, or "
+            "set POINTING to shift.",
+        )
         for name, each in exported.items()
         if each.max_px > bounds.most_rpc_px and name not in shaken
     ]
+
+
+def _azimuth(direction: Tuple[float, float]) -> str:
+    """A horizontal direction in degrees from north, 0 to 180: it has no sign."""
+    return f"{math.degrees(math.atan2(direction[0], direction[1])) % 180.0:.0f} degrees from north"

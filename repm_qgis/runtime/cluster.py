@@ -359,7 +359,7 @@ class _ClusterWorkers:
         if self._client.status != "running":
             raise _gone(self._address)
         if not self._client.nthreads():
-            progress.warn(f"The cluster at '{self._address}' has no workers at the moment: this run waits for one.")
+            progress.info(f"The cluster at '{self._address}' has no workers at the moment: this run waits for one.")
 
     def _drop(self, futures: List[object]) -> None:
         """Have the scheduler forget tasks; a worker ends the one that it does."""

@@ -62,7 +62,7 @@ def _locked(path: str, stage: str, progress: Progress) -> Iterator[None]:
                 break
         except OSError as error:
             if error.errno in _UNKNOWN:
-                progress.warn(
+                progress.info(
                     f"The disk of '{path}' does not support locks: make sure that no other run writes there meanwhile."
                 )
                 os.close(descriptor)
@@ -76,7 +76,7 @@ def _locked(path: str, stage: str, progress: Progress) -> Iterator[None]:
         owner = _owner(descriptor)
         os.close(descriptor)
         if not announced:
-            progress.warn(f"'{os.path.dirname(path)}' is in use by {owner}: this run waits until that one ends.")
+            progress.info(f"'{os.path.dirname(path)}' is in use by {owner}: this run waits until that one ends.")
             announced = True
         progress.check_cancelled()
         time.sleep(_POLL_S)

@@ -118,7 +118,7 @@ def workers_within(workers: int, work: Work, budget_mib: int, progress: Progress
         if budget_mib:
             least = f"the {each_mib:.0f} MiB that {work.name} takes"
             raise OptionError("MEMORY", budget_mib, f"is less than {least}; allow more, or {remedy}")
-        progress.warn(f"{takes} only {free:.0f} MiB are free: if memory runs out, {remedy}.")
+        progress.info(f"{takes} only {free:.0f} MiB are free: if memory runs out, {remedy}.")
         return 1
     fitting = int(budget // each_mib)
     if fitting < wanted:

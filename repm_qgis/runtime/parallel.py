@@ -19,6 +19,7 @@ from functools import cache
 from typing import Any, Callable, Dict, Iterator, List, Optional, Protocol, Sequence, Tuple, TypeVar
 
 from ..contracts.errors import OutOfMemoryError, RepmError, WorkerError
+from ..contracts.findings import Finding
 from .containers import memory_kills
 from .process_limits import THREAD_VARIABLES, one_thread_for_sums, prepare_process
 from .progress import Progress, Recorder, Silent
@@ -93,24 +94,24 @@ def run_tasks(
 def run_whole(function: Callable[[T, Progress], R], task: T, progress: Progress, description: str) -> R:
     """``function(task, progress)``: here, or on a worker of a cluster, where there is one, so that no pixel comes here.
 
-    The notes and warnings of a cluster's worker are passed on when it is done.
+    The notes and findings of a cluster's worker are passed on when it is done.
     """
     if _workers is None or isinstance(_workers, _Pool):
         return function(task, progress)
     work = function, task, reader().language
-    ((result, notes, warnings),) = run_tasks(_noted, [work], 1, progress, lambda _: description)
+    ((result, notes, findings),) = run_tasks(_noted, [work], 1, progress, lambda _: description)
     for text in notes:
         progress.info(text)
-    for text in warnings:
-        progress.warn(text)
+    for finding in findings:
+        progress.warn(finding)
     return result
 
 
-def _noted(work: Tuple[Callable[[T, Progress], R], T, str]) -> Tuple[R, List[str], List[str]]:
+def _noted(work: Tuple[Callable[[T, Progress], R], T, str]) -> Tuple[R, List[str], List[Finding]]:
     function, task, language = work
     recorder = Recorder(Silent())
     with written_in(language):
-        return function(task, recorder), recorder.notes, recorder.warnings
+        return function(task, recorder), recorder.notes, recorder.findings
 
 
 def task_mib() -> Optional[float]:

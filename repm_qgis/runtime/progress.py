@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import threading
-from typing import Callable, Optional, Protocol, Sequence, TextIO
+from typing import Callable, Iterable, List, Optional, Protocol, Sequence, TextIO
+
+from ..contracts.findings import Finding
 
 _MOST_NAMED = 6
 
@@ -17,7 +19,9 @@ class Progress(Protocol):
 
     def info(self, text: str) -> None: ...
 
-    def warn(self, text: str) -> None: ...
+    def warn(self, finding: Finding) -> None:
+        """Something that the reader of the result should know; it stands in the report's verdict."""
+        ...
 
     def check_cancelled(self) -> None:
         """Raise :class:`repm_qgis.contracts.errors.Cancelled` if the user asked to stop."""
@@ -44,7 +48,7 @@ class Silent:
     def info(self, text: str) -> None:
         pass
 
-    def warn(self, text: str) -> None:
+    def warn(self, finding: Finding) -> None:
         pass
 
     def check_cancelled(self) -> None:
@@ -64,28 +68,37 @@ class Part:
     def info(self, text: str) -> None:
         self._whole.info(text)
 
-    def warn(self, text: str) -> None:
-        self._whole.warn(text)
+    def warn(self, finding: Finding) -> None:
+        self._whole.warn(finding)
 
     def check_cancelled(self) -> None:
         self._whole.check_cancelled()
 
 
 class Recorder(Part):
-    """Passes everything on, and keeps the warnings and notes for a report."""
+    """The record of a run: passes everything on, and keeps notes and findings, from which a report has its verdict.
+
+    The same sentence is passed on once.
+    """
 
     def __init__(self, whole: Progress) -> None:
         super().__init__(whole, 0.0, 1.0)
-        self.notes: list[str] = []
-        self.warnings: list[str] = []
+        self.notes: List[str] = []
+        self.findings: List[Finding] = []
 
     def info(self, text: str) -> None:
         self.notes.append(text)
         super().info(text)
 
-    def warn(self, text: str) -> None:
-        self.warnings.append(text)
-        super().warn(text)
+    def warn(self, finding: Finding) -> None:
+        if finding not in self.findings:
+            self.findings.append(finding)
+            super().warn(finding)
+
+    def warn_all(self, findings: Iterable[Finding]) -> None:
+        """Warn of each."""
+        for finding in findings:
+            self.warn(finding)
 
 
 class JsonLines:
@@ -123,8 +136,8 @@ class JsonLines:
     def info(self, text: str) -> None:
         self.send(type="info", text=self.translate(text))
 
-    def warn(self, text: str) -> None:
-        self.send(type="warning", text=self.translate(text))
+    def warn(self, finding: Finding) -> None:
+        self.send(type="warning", id=finding.id, level=finding.level, text=self.translate(str(finding)))
 
     def check_cancelled(self) -> None:
         if self._cancelled is not None and self._cancelled():

@@ -18,6 +18,7 @@ from ..change.volumes import GAIN, LOSS, Outlines
 from ..contracts.arrays import AnyArray, FloatArray, FloatImage, IntArray, Mask, Window
 from ..contracts.documents import Keywords
 from ..contracts.errors import EmptyResultError
+from ..contracts.findings import Finding
 from ..contracts.options import SeriesOptions
 from ..evaluation.comparison import Thumbnails
 from ..evaluation.coregistration import Alignment
@@ -68,7 +69,7 @@ class FoundSeries:
     changed: float
     pictures: Dict[str, FloatImage]
     picture_cell_m: float
-    warnings: List[str]
+    warnings: List[Finding]
 
     @property
     def shown_m_a(self) -> float:
@@ -197,13 +198,16 @@ class _Work:
         dates = change_dates(cells.heights, spread, self._parameters)
         return found, dates, coherent_signs(np.where(found.signs != 0, found.signs, dates.sign))
 
-    def _offset_warnings(self, errors: DateErrors) -> List[str]:
+    def _offset_warnings(self, errors: DateErrors) -> List[Finding]:
         plan, texts = self._parameters, []
         for date, offset, usual in zip(self._series, errors.offset_m, errors.usual_m):
             if abs(offset) > max(plan.offset_errors * usual, plan.least_offset_m):
                 texts.append(
-                    f"The heights of {date.label} lie {offset:+.2f} m from those of the other dates where nothing "
-                    "changed: register the DSMs, or set ALIGN to vertical or 3d, which removes it."
+                    Finding(
+                        "date-apart",
+                        f"The heights of {date.label} lie {offset:+.2f} m from those of the other dates where nothing "
+                        "changed: register the DSMs, or set ALIGN to vertical or 3d, which removes it.",
+                    )
                 )
         return texts
 

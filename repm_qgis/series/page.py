@@ -25,10 +25,7 @@ def series_page(options: SeriesOptions, found: FoundSeries) -> Report:
     first, last = found.series[0].label, found.series[-1].label
     page = Report("Series of dates", f"{len(found.series)} DSMs, {first} to {last}")
     good = f"The surface rises significantly on {found.rising:.0f} m2 and falls on {found.falling:.0f} m2."
-    findings = [f"Warnings (listed below): {len(found.warnings)}."] if found.warnings else []
-    page.verdict(good, findings)
-    for text in found.warnings:
-        page.warning(text)
+    page.verdict(good, about=True)
     _volumes(page, options, found)
     _pictures(page, found)
     _dates(page, options, found)

@@ -14,6 +14,7 @@ from ..change.surfaces import Cells, opened_confidence, opened_surfaces
 from ..change.volumes import Shapes
 from ..contracts.arrays import FloatImage, Mask, Window
 from ..contracts.errors import OverlapError
+from ..contracts.findings import Finding, distinct
 from ..evaluation.comparison import gradient, sample_windows
 from ..evaluation.coregistration import Alignment
 from ..evaluation.grids import Grid, HeightWarper, bounds_on, cell_metres, overlap
@@ -68,8 +69,8 @@ class Stack:
         return abs(self.cell[0] * self.cell[1])
 
     @property
-    def warnings(self) -> List[str]:
-        return list(dict.fromkeys(text for warper in self._warpers for text in warper.warnings))
+    def warnings(self) -> List[Finding]:
+        return distinct(finding for warper in self._warpers for finding in warper.warnings)
 
     def read(self, window: Window, dates: Sequence[int] = ()) -> SeriesCells:
         """A window of the grid, of all dates or some; beyond the grid's edge there is no gradient."""

@@ -22,6 +22,7 @@ import pyproj
 from ..contracts.arrays import FloatArray, IntArray
 from ..contracts.documents import JsonObject
 from ..contracts.errors import EmptyResultError
+from ..contracts.findings import Finding
 from ..files.las import laz_backend, required_laspy
 from ..runtime.progress import Progress, Silent
 from ..runtime.workspace import require_no_strangers, whole_folder
@@ -88,7 +89,7 @@ class EptFacts:
 def make(finished: FinishedDsm, folder: str, progress: Progress) -> Optional[str]:
     """The points of a finished DSM as EPT; gives its ``ept.json``, None where no point lies on the DSM."""
     if finished.cloud is None:
-        progress.warn("No matched point lies on the DSM: the EPT is not written.")
+        progress.warn(Finding("no-matched-point", "No matched point lies on the DSM: the EPT is not written."))
         return None
     tree = write_ept(finished.cloud, folder, finished.crs, progress, parameters=finished.parameters.ept)
     progress.info(f"EPT of {tree.points} points in {tree.nodes} nodes.")

@@ -23,6 +23,7 @@ from osgeo import gdal
 
 from ..contracts.arrays import FloatArray, FloatImage, IntArray
 from ..contracts.errors import INSTALL_REMEDY
+from ..contracts.findings import Finding
 from ..runtime.progress import Progress
 from .lattice import TRIANGLES, Lattice, Surface, square_triangles, thinned
 from .painting import Colours, Paint
@@ -87,8 +88,12 @@ def reduced(
         return lattice, cells
     if importlib.util.find_spec("pyfqmr") is None:
         progress.warn(
-            "The mesh has every second, third, ... row and column, because the package 'pyfqmr', which chooses better "
-            f"vertices, is missing. To have them, {INSTALL_REMEDY}."
+            Finding(
+                "mesh-thinned",
+                "The mesh has every second, third, ... row and column, because the package 'pyfqmr', which chooses "
+                "better "
+                f"vertices, is missing. To have them, {INSTALL_REMEDY}.",
+            )
         )
         return thinned(lattice, max_vertices)[0], cells
     simple, every = parameters.simplification, dataset.RasterXSize * dataset.RasterYSize

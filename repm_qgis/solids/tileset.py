@@ -23,6 +23,7 @@ import pyproj
 
 from ..contracts.arrays import AnyArray, FloatArray
 from ..contracts.documents import JsonObject
+from ..contracts.findings import Finding
 from ..geometry.frames import EnuFrame, flat_crs, geodetic_from_projected
 from ..geometry.vertical import ELLIPSOID, HeightDatum, stated_datum
 from ..runtime.progress import Progress
@@ -52,7 +53,10 @@ class Globe:
         datum = stated_datum(system, tag)
         if datum is None:
             progress.warn(
-                f"'{path}' does not state its vertical datum: its heights are taken to be above the ellipsoid."
+                Finding(
+                    "datum-unknown",
+                    f"'{path}' does not state its vertical datum: its heights are taken to be above the ellipsoid.",
+                )
             )
         crs = flat_crs(system).to_wkt("WKT2_2019")
         lon, lat = map(float, geodetic_from_projected(crs, np.array(middle)))

@@ -18,6 +18,7 @@ from ..geometry.frames import flat_crs
 from ..imagery.raster import opened
 from ..names import surface_title
 from ..reports.styles import write_style
+from ..reports.verdict import of_buildings
 from ..runtime.parallel import kept_workers, run_whole
 from ..runtime.progress import Part, Progress, Recorder, counted
 from ..runtime.workspace import temporary_folder
@@ -59,20 +60,16 @@ def run(options: BuildingsOptions, progress: Progress, parameters: EngineParamet
 def _found(task: _Task, progress: Progress) -> BuildingsResult:
     """The result, without its seconds."""
     options, surface, terrain, folder, parameters = task
-    found = find_buildings(options, surface, terrain, folder, Part(progress, 0.0, 0.9), parameters.buildings)
-    for text in found.warnings:
-        progress.warn(text)
+    run = Recorder(progress)
+    found = find_buildings(options, surface, terrain, folder, Part(run, 0.0, 0.9), parameters.buildings)
+    measured = [each.heights.measured for each in found.buildings]
+    run.warn_all([*found.warnings, *of_buildings(measured, options.min_height, options.min_area)])
     if options.ortho and not found.shows_plants:
         progress.info(
             f"'{options.ortho}' names no near infrared band: only their heights distinguish trees from roofs."
         )
-    if not found.buildings:
-        progress.warn(
-            f"No building of at least {options.min_height:g} m and {options.min_area:g} m2 was found: the layer is "
-            "empty. Choose a smaller MIN_HEIGHT or MIN_AREA, or check that DTM is the terrain below this DSM."
-        )
     progress.step(0.9, "writing the buildings")
-    _write(options, found, terrain, progress)
+    _write(options, found, terrain, run)
     roofed = sum(each.lod == 2 for each in found.buildings)
     progress.info(
         f"{counted(len(found.buildings), 'building')}, {roofed} of them with the planes of their roofs, on "
@@ -90,7 +87,7 @@ def _found(task: _Task, progress: Progress) -> BuildingsResult:
     )
 
 
-def _write(options: BuildingsOptions, found: FoundBuildings, terrain: str, progress: Progress) -> None:
+def _write(options: BuildingsOptions, found: FoundBuildings, terrain: str, run: Recorder) -> None:
     with opened(options.dsm) as dataset:
         crs = flat_crs(Grid.of(dataset).crs)
     write_footprints(options.output, crs.to_wkt("WKT2_2019"), found.buildings, os.path.basename(options.dsm))
@@ -98,4 +95,4 @@ def _write(options: BuildingsOptions, found: FoundBuildings, terrain: str, progr
     if options.cityjson:
         write_cityjson(options.cityjson, found.buildings, crs, found.surface.datum, surface_title(options.dsm))
     if options.report:
-        buildings_page(options, found, terrain).of(surface_title(options.dsm)).write(options.report)
+        buildings_page(options, found, terrain).of(surface_title(options.dsm)).write(options.report, run)

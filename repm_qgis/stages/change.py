@@ -9,9 +9,10 @@ from ..contracts.options import ChangeOptions
 from ..contracts.products import paths_of
 from ..contracts.results import ChangeResult
 from ..names import dates_title
+from ..reports import verdict
 from ..reports.styles import write_style
 from ..runtime.parallel import run_whole
-from ..runtime.progress import Part, Progress, counted
+from ..runtime.progress import Part, Progress, Recorder, counted
 
 
 def run(options: ChangeOptions, progress: Progress) -> ChangeResult:
@@ -24,15 +25,15 @@ def run(options: ChangeOptions, progress: Progress) -> ChangeResult:
 
 
 def _changed(options: ChangeOptions, progress: Progress) -> ChangeResult:
-    found = find_changes(options, Part(progress, 0.0, 0.9))
-    for text in found.warnings:
-        progress.warn(text)
+    run = Recorder(progress)
+    found = find_changes(options, Part(run, 0.0, 0.9))
+    run.warn_all([*found.warnings, *verdict.of_change(found.changed_share, found.alignment.dz, found.level_m)])
     for product, path in paths_of("change", options):
         if product.style:  # both rasters have the same colours; changes that are not significant are pale
             write_style(product.style, path, (-found.shown_m, found.shown_m))
     if options.report:
         progress.step(0.92, "Report")
-        change_page(options, found).of(dates_title(options.before, options.after)).write(options.report)
+        change_page(options, found).of(dates_title(options.before, options.after)).write(options.report, run)
     _log(found, progress)
     progress.step(1.0, "Done")
     gains, losses = found.total(True), found.total(False)

@@ -8,6 +8,7 @@ import numpy as np
 from osgeo import ogr
 
 from ..contracts.errors import EmptyResultError, InputTableError
+from ..contracts.findings import Finding
 from ..contracts.options import CheckGcpsOptions
 from ..contracts.results import CheckGcpsResult, PointErrors
 from ..evaluation.gcp_accuracy import COLUMNS, COMPONENTS, GcpAccuracy, measure_dsm, measure_images
@@ -18,9 +19,10 @@ from ..names import scene_title, surface_title
 from ..pointing.control_heights import heights_off
 from ..pointing.control_places import misplaced, placed_points
 from ..pointing.ground_control import Gcp, read_gcps
+from ..reports import verdict
 from ..reports.gcp_page import gcp_page
 from ..reports.styles import write_style
-from ..runtime.progress import Progress, counted
+from ..runtime.progress import Progress, Recorder, counted
 from ..scene import Scene
 from .errormap import error_at
 
@@ -33,7 +35,7 @@ def run(options: CheckGcpsOptions, progress: Progress) -> CheckGcpsResult:
     Raises SceneError, InputTableError, OptionError, ImageError, EmptyResultError, WorkspaceError.
     """
     scene = Scene.load(options.scene) if options.scene else None
-    elsewhere: List[str] = []
+    elsewhere: List[Finding] = []
     gcps = read_gcps(options.gcps, scene.views if scene else None, options.gcp_datum, elsewhere.append)
     found = GcpAccuracy(gcps, warnings=elsewhere)
     if scene is not None:
@@ -49,13 +51,13 @@ def run(options: CheckGcpsOptions, progress: Progress) -> CheckGcpsResult:
             raise EmptyResultError(
                 f"None of the {points} of '{options.gcps}' lies {place}: choose points of the same area."
             )
-    for text in found.warnings:
-        progress.warn(text)
+    run = Recorder(progress)
+    run.warn_all([*found.warnings, *verdict.of_points(found)])
     if options.output:
         _write_points(scene, found, options.output)
     if options.report:
         name = scene_title(scene, options.scene) if scene and options.scene else surface_title(str(options.dsm))
-        gcp_page(found, options).of(name).write(options.report)
+        gcp_page(found, options).of(name).write(options.report, run)
     _log_heights(found, progress)
     progress.step(1.0, "points checked")
     return _result(options, found)
@@ -66,20 +68,26 @@ def _measure_images(scene: Scene, found: GcpAccuracy, options: CheckGcpsOptions)
         wrong = misplaced(found.gcps, scene.views, options.gcps)
         if wrong and not any(point.inside for point in placed_points(found.gcps, scene.views)):
             raise InputTableError(wrong)
-        found.warnings += [wrong] * bool(wrong)
+        found.warnings += [Finding("points-misplaced", wrong)] * bool(wrong)
         measure_images(found, scene.views)
         tied = [pair for pair in scene.pairs if pair.tied]
         if scene.pointing is not None and tied:
             off = heights_off(found.gcps, scene.views, tied, scene.pointing)
-            found.warnings += [off] * bool(off)
+            found.warnings += [] if off is None else [off]
         if "compensated" not in found.errors:
             points = f"No point of '{file_and_layer(options.gcps)[0]}' with image measurements has the role control"
-            found.warnings.append(f"{points}: there is no image-space compensation to show.")
+            found.warnings.append(
+                Finding("no-compensation", f"{points}: there is no image-space compensation to show.")
+            )
     elif not options.dsm:
         remedy = "fill the fields view, col and row, or give a DSM to check its heights"
         raise EmptyResultError(f"No point of '{options.gcps}' was measured in an image: {remedy}.")
     else:
-        found.warnings.append(f"No point of '{options.gcps}' was measured in an image: only the DSM is checked.")
+        found.warnings.append(
+            Finding(
+                "points-unmeasured", f"No point of '{options.gcps}' was measured in an image: only the DSM is checked."
+            )
+        )
 
 
 def _result(options: CheckGcpsOptions, found: GcpAccuracy) -> CheckGcpsResult:

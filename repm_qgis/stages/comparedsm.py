@@ -19,10 +19,10 @@ from ..evaluation.metrics import HeightMetrics
 from ..evaluation.profiles import read_lines
 from ..imagery import raster
 from ..names import surface_title
-from ..reports.comparison_page import comparison_page
+from ..reports.comparison_page import comparison_findings, comparison_page
 from ..reports.styles import write_style
 from ..runtime.parallel import run_whole
-from ..runtime.progress import Part, Progress
+from ..runtime.progress import Part, Progress, Recorder
 
 
 def run(options: CompareDsmOptions, progress: Progress) -> CompareDsmResult:
@@ -39,13 +39,15 @@ def _all_compared(options: CompareDsmOptions, progress: Progress) -> CompareDsmR
     paths = [options.dsm, *options.others]
     ends = [0.9 * i / len(paths) for i in range(len(paths) + 1)]
     found = [_compared(options, path, Part(progress, low, high)) for path, low, high in zip(paths, ends, ends[1:])]
-    for text in dict.fromkeys(text for one in found for text in one.warnings):
-        progress.warn(text)
+    run = Recorder(progress)
+    run.warn_all([*(finding for one in found for finding in one.warnings), *comparison_findings(found)])
     if options.error:
         write_style("dsm_error", options.error)
     if options.report:
         progress.step(0.92, "Report")
-        comparison_page(found[0], options.error or "", found[1:]).of(surface_title(options.dsm)).write(options.report)
+        comparison_page(found[0], options.error or "", found[1:]).of(surface_title(options.dsm)).write(
+            options.report, run
+        )
     for path, one in zip(paths, found):
         moved = one.alignment
         if moved.method != "none":

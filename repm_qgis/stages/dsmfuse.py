@@ -15,6 +15,7 @@ from typing import Callable, Dict, Iterable, Iterator, List, Optional, Tuple
 from ..contracts.documents import Keywords
 from ..contracts.errors import EmptyResultError, ImageError, OptionError, SceneError
 from ..contracts.file_kinds import is_textured
+from ..contracts.findings import Finding
 from ..contracts.options import DsmFuseOptions, ViewerOptions
 from ..contracts.paths import real_path
 from ..contracts.products import not_requested, paths_of, product, products_of
@@ -28,6 +29,7 @@ from ..fusion.visible import nadir_first
 from ..geometry.finer_cells import FinerCells, finer_cell
 from ..geometry.frames import projected_crs_at
 from ..geometry.gridding import widening
+from ..geometry.ground_metric import metric_at
 from ..geometry.vertical import HeightDatum
 from ..imagery.raster import content_of
 from ..names import scene_title
@@ -38,6 +40,7 @@ from ..ortho.parameters import OrthoParameters
 from ..ortho.spectra import Spectra
 from ..planning.disk_space import fusion_needs, require_space
 from ..reports.styles import height_limits, write_style
+from ..reports.verdict import of_surface
 from ..runtime.parallel import run_whole
 from ..runtime.progress import Part, Progress
 from ..runtime.workspace import ensure_folder, temporary_folder
@@ -138,6 +141,8 @@ def _laid_out(scene: Scene, options: DsmFuseOptions, progress: Progress, paramet
         scene.require_images()
     crs = options.crs or scene.crs
     projected_crs_at(crs, scene.frame.lon, scene.frame.lat)
+    for finding in metric_at(crs, scene.frame.lon, scene.frame.lat).finding(crs):
+        progress.warn(finding)
     datum = HeightDatum.of(options.vertical_datum)
     datum.require(scene.frame.lon, scene.frame.lat)
     if options.ept:
@@ -354,7 +359,12 @@ def _each_alone(fusion: Fusion, pairs: List[Tuple[str, str]], progress: Progress
             fused(alone, Part(progress, index / len(pairs), (index + 1) / len(pairs)))
         except EmptyResultError:
             file = Path(alone.options.output).name
-            progress.warn(f"{pair[0]} and {pair[1]} alone have no height in the DSM: '{file}' is not written.")
+            progress.warn(
+                Finding(
+                    "pair-without-heights",
+                    f"{pair[0]} and {pair[1]} alone have no height in the DSM: '{file}' is not written.",
+                )
+            )
         shutil.rmtree(alone.folder, ignore_errors=True)  # with many pairs these would take much of the disk
 
 
@@ -385,12 +395,10 @@ def _log(options: DsmFuseOptions, parameters: EngineParameters, facts: FusionFac
         f"{matched:.1f} % matched, {background:.1f} % from the ground behind occlusions and in shadows and from "
         f"neighbouring cells, {interpolated:.1f} % interpolated."
     )
-    if facts.dem_offset is not None:
-        say = progress.warn if facts.dem_offset.unexpected else progress.info
-        say(facts.dem_offset.sentence())
+    if facts.dem_offset is not None and not facts.dem_offset.unexpected:
+        progress.info(facts.dem_offset.sentence())
     if facts.interpolated and not options.confidence:
         cells = f"{facts.interpolated} cells of '{options.output}' are interpolated, not measured"
-        progress.warn(f"{cells}: ask for CONFIDENCE to see which (band 4).")
-    if facts.valid_percent < parameters.tiles.few_cells_percent:
-        advice = "check the confidence and the reconstruction's report before you use this DSM"
-        progress.warn(f"Only {facts.valid_percent:.0f} % of the cells have a height: {advice}.")
+        progress.info(f"{cells}: ask for CONFIDENCE to see which (band 4).")
+    for finding in of_surface(facts):
+        progress.warn(finding)

@@ -16,6 +16,7 @@ from ..imagery.raster import NODATA, RasterFrame, created
 from ..names import surface_title
 from ..planning.disk_space import require_space, terrain_needs
 from ..reports.styles import write_style
+from ..reports.verdict import of_terrain
 from ..runtime.memory import Work, workers_within
 from ..runtime.parallel import kept_workers, run_tasks, run_whole
 from ..runtime.progress import Part, Progress, Recorder
@@ -120,9 +121,9 @@ def _make(
         f"{result.objects_percent:.1f} % of the DSM's heights belong to objects; {result.valid_percent:.1f} % of "
         "the cells have a terrain."
     )
+    progress.warn_all(of_terrain(result.objects_percent))
     if options.report:
-        page = terrain_page(options, surface, result, progress.warnings)
-        page.of(surface_title(surface.path)).write(options.report)
+        terrain_page(options, surface, result).of(surface_title(surface.path)).write(options.report, progress)
     progress.step(1.0, "Terrain made")
     return result
 

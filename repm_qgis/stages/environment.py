@@ -11,6 +11,7 @@ from typing import Dict, List, Optional, Tuple
 from .. import __version__
 from ..contracts.documents import JsonObject
 from ..contracts.errors import OptionError, WorkspaceError
+from ..contracts.findings import Finding
 from ..contracts.options import EnvironmentOptions
 from ..contracts.results import EnvironmentResult
 from ..installer.interpreter import base_program
@@ -18,7 +19,7 @@ from ..reports.report import Report
 from ..runtime.environment import GRIDS, survey
 from ..runtime.imports import numpy_misfit
 from ..runtime.packages import PACKAGES
-from ..runtime.progress import Progress
+from ..runtime.progress import Progress, Recorder
 
 
 def run(options: EnvironmentOptions, progress: Progress) -> EnvironmentResult:
@@ -26,18 +27,18 @@ def run(options: EnvironmentOptions, progress: Progress) -> EnvironmentResult:
     if options.install or options.remove:
         return _changed(options, progress)
     progress.step(0.0, "checking packages and devices")
-    found = survey(tempfile.gettempdir())
+    found, run = survey(tempfile.gettempdir()), Recorder(progress)
     for names, remedy in _by_remedy(found):
-        progress.warn(f"Not installed: {names}. To install what is missing, {remedy}.")
+        run.warn(Finding("packages-missing", f"Not installed: {names}. To install what is missing, {remedy}."))
     misfit = numpy_misfit()
     if misfit:
-        progress.warn(misfit)
+        run.warn(Finding("numpy-misfit", misfit))
     elif not found["missing"]:
         progress.info(f"{found['interpreter']} has every package that the engine uses.")
     if not found["cuda"]["usable"]:
         progress.info(f"BACKEND colmap cannot run: {found['cuda']['remedy']}.")
     if options.report:
-        _report(found, misfit).write(options.report)
+        _report(found).write(options.report, run)
     progress.step(1.0, "reported")
     return EnvironmentResult.from_mapping({**found, "report": options.report, "folder": None})
 
@@ -83,15 +84,9 @@ def _by_remedy(found: JsonObject) -> List[Tuple[str, str]]:
     return [("; ".join(names), remedy) for remedy, names in named.items()]
 
 
-def _report(found: JsonObject, misfit: str) -> Report:
+def _report(found: JsonObject) -> Report:
     page = Report("Environment", f"REPM {__version__} on {found['platform']}")
-    page.section("Missing")
-    if misfit:
-        page.warning(misfit)
-    elif not found["missing"]:
-        page.paragraph("Nothing: every package that the engine uses is installed.")
-    for names, remedy in _by_remedy(found):
-        page.warning(f"Not installed: {names}.", f"{remedy}.")
+    page.verdict("Every package that the engine uses is installed.")
     page.section("Packages")
     page.facts([("Engine interpreter", found["interpreter"]), ("Python", found["python"])])
     purposes = {package.distribution: package.purpose for package in PACKAGES}
@@ -138,7 +133,7 @@ def _proj(page: Report, found: Optional[JsonObject]) -> None:
     geoids = {use: install_grid([name]) for name, use in GRIDS[:2]}
     if not any(found["grids"].values()):
         text = "No geoid grid is installed: heights above a geoid cannot be brought to the ellipsoid, or back."
-        page.warning(text, f"{geoids[GRIDS[0][1]]}.")
+        page.paragraph(f"{text} What to do: {geoids[GRIDS[0][1]]}.")
     page.paragraph(
         "To install one: " + "; ".join(f"for the {use}, {how}" for use, how in geoids.items()) + ". "
         "With access to the internet, the environment variable PROJ_NETWORK=ON does the same by itself."

@@ -16,12 +16,14 @@ from osgeo import ogr
 
 from ..contracts.arrays import Altitudes, Bounds, Window
 from ..contracts.errors import OptionError, OverlapError
+from ..contracts.findings import Finding
 from ..contracts.options import EpmFitOptions, Extent
 from ..contracts.results import EpmFitResult
 from ..files.vector import write_layer
 from ..geometry.equivalent_error import VirtualGrid, fit_pinhole, refine_pinhole, virtual_grid
 from ..geometry.footprints import bounds_of, box, footprint, seen_twice
 from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs_at, projected_from_geodetic, utm_crs
+from ..geometry.ground_metric import metric_at
 from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
 from ..imagery.acquisition import time_sidecars
@@ -59,7 +61,7 @@ _MOST_NAMED = 12  # images that the log names one by one
 
 def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> EpmFitResult:
     """Read the RPCs, find area and altitudes, lay tiles, fit cameras; gives the scene, the TILES layer, the report."""
-    start = time.monotonic()
+    start, notes = time.monotonic(), Recorder(progress)
     options = with_images(options, progress)
     folder = ensure_folder(options.workspace)
     scene_path = str(folder / "scene.json")
@@ -71,17 +73,16 @@ def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters
         tiles = counted(len(scene.tiles), "tile")
         progress.info(f"Reused the cameras of {tiles} in '{scene_path}': images and options are unchanged.")
     else:
-        notes = Recorder(progress)
         scene = _fit(options, folder_of(Path(scene_path), "masks"), parameters, notes)
         replace(scene, path=Path(scene_path)).require_same_images()
         seconds, changes = time.monotonic() - start, parameters.changes()
-        scene = scene.recorded("epmfit", key, options.to_json(), seconds, notes.warnings, changes)
+        scene = scene.recorded("epmfit", key, options.to_json(), seconds, notes.findings, changes)
         scene.save(scene_path)
     for path in tiles_paths:
         write_tiles(scene, path)
     report = fit_report(scene).of(scene_title(scene, scene_path))
     for path in report_paths:
-        report.write(path)
+        report.write(path, notes)
     errors = [view.error for tile in scene.tiles for view in tile.views.values()]
     rmse, largest = float(np.sqrt(np.mean([e.rmse**2 for e in errors]))), max(e.max for e in errors)
     progress.step(1.0, "cameras fitted")
@@ -133,6 +134,8 @@ def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, prog
     _log_views(views, progress)
     views = _coarser_first(views)
     crs = _crs(options, views)
+    for finding in metric_at(crs, *middle_of(views)).finding(crs):
+        progress.warn(finding)
     search = common_heights(views)
     area = _area(views, crs, search, options, parameters.tiles)
     views, search = with_planes(
@@ -311,8 +314,12 @@ def _automatic_size(
     if error > budget:
         left, range_m = f"{error:.2f} px of equivalent error", scene.altitudes[1] - scene.altitudes[0]
         progress.warn(
-            f"Tiles of {size} px, the smallest, still have {left} after refinement (budget {budget:g} px), because the "
-            f"altitude range is {range_m:.0f} m; heights are computed with the RPCs and are not affected."
+            Finding(
+                "tiles-smallest",
+                f"Tiles of {size} px, the smallest, still have {left} after refinement (budget {budget:g} px), "
+                "because the "
+                f"altitude range is {range_m:.0f} m; heights are computed with the RPCs and are not affected.",
+            )
         )
     return size
 

@@ -20,7 +20,8 @@ from ..imagery.raster import RasterFrame, created
 from ..names import scene_title
 from ..reports.stage_reports import errormap_report
 from ..reports.styles import write_style
-from ..runtime.progress import Progress
+from ..reports.verdict import of_error_map
+from ..runtime.progress import Progress, Recorder
 from ..scene import Scene, Tile, View
 
 _BANDS = ("magnitude (px)", "column (px)", "row (px)", "worst over the altitudes (px)")
@@ -66,9 +67,11 @@ def run(options: ErrorMapOptions, progress: Progress) -> ErrorMapResult:
         raise OptionError("VIEW", view.name, "sees nothing of the tiles at this altitude: choose another altitude")
     rmse = float(np.sqrt(squares / count))
     write_style("error", options.output)
+    run = Recorder(progress)
+    run.warn_all(of_error_map(rmse, bool(scene.refinement)))
     if options.report:
         report = errormap_report(scene, view, options.output, rmse, worst, altitude)
-        report.of(scene_title(scene, options.scene)).write(options.report)
+        report.of(scene_title(scene, options.scene)).write(options.report, run)
     errors = f"equivalent error RMSE {rmse:.2g} px, max {worst:.2g} px ({refinement})"
     progress.info(f"{view.name} at {altitude:.0f} m: {errors}.")
     progress.step(1.0, "error mapped")

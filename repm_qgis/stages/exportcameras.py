@@ -11,6 +11,7 @@ import numpy as np
 
 from .. import __version__
 from ..contracts.errors import OptionError, SceneError, WorkspaceError
+from ..contracts.findings import Finding
 from ..contracts.options import ExportCamerasOptions
 from ..contracts.results import ExportCamerasResult
 from ..exports import FORMATS
@@ -66,9 +67,14 @@ def run(options: ExportCamerasOptions, progress: Progress) -> ExportCamerasResul
     for view in scene.views:
         if view.jitter is not None:
             progress.warn(
-                f"A camera cannot hold the jitter of {view.name}, waves of up to {view.jitter.most_px:.2f} px over its "
-                "lines: the camera only contains their mean, and products of software that uses the cameras contain "
-                "the rest."
+                Finding(
+                    "camera-without-jitter",
+                    f"A camera cannot hold the jitter of {view.name}, waves of up to {view.jitter.most_px:.2f} px "
+                    "over its "
+                    "lines: the camera only contains their mean, and products of software that uses the cameras "
+                    "contain "
+                    "the rest.",
+                )
             )
     progress.step(1.0, "cameras exported")
     return ExportCamerasResult(folder=str(folder), models=tuple(map(str, places)), images=count)

@@ -20,7 +20,7 @@ from ..reports.rpc_page import ExportedRpc, rpc_page, within_px
 from ..reports.verdict import of_rpcs
 from ..rpc.correction import corrected, of_projected
 from ..rpc.writers import rpb_text, rpc_tags, rpc_txt
-from ..runtime.progress import Progress, counted
+from ..runtime.progress import Progress, Recorder, counted
 from ..runtime.workspace import require_no_strangers, whole_folder, write_text
 from ..scene import Scene, View
 
@@ -36,8 +36,8 @@ def run(options: ExportRpcOptions, progress: Progress) -> ExportRpcResult:
     scene.require_images()
     _require_place(Path(options.rpc_folder))
     exported = [_exported(scene, view) for view in scene.views]
-    for text in of_rpcs({each.view.name: each.corrected for each in exported}):
-        progress.warn(text)
+    run = Recorder(progress)
+    run.warn_all(of_rpcs({each.view.name: each.corrected for each in exported}))
     with whole_folder(options.rpc_folder) as folder:
         for index, each in enumerate(exported):
             progress.check_cancelled()
@@ -46,7 +46,7 @@ def run(options: ExportRpcOptions, progress: Progress) -> ExportRpcResult:
         document = {"format": "repm-rpcs", "engine": __version__, "images": [_record(each) for each in exported]}
         write_text(str(folder / _LIST), json.dumps(document, indent=1, allow_nan=False))
     if options.report:
-        rpc_page(exported, options.scene).of(scene_title(scene, options.scene)).write(options.report)
+        rpc_page(exported, options.scene).of(scene_title(scene, options.scene)).write(options.report, run)
     worst = max(each.corrected.max_px for each in exported)
     images = tuple(str(Path(options.rpc_folder) / each.files[0]) for each in exported)
     off = f"at most {within_px(exported):.4f} px from the pointed model"

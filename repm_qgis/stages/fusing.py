@@ -9,6 +9,7 @@ from typing import List, Optional, Tuple
 
 from ..contracts.arrays import Window
 from ..contracts.errors import RepmError
+from ..contracts.findings import Finding
 from ..contracts.options import DsmFuseOptions
 from ..contracts.products import product
 from ..contracts.records import DemOffset, FusionFacts
@@ -23,6 +24,7 @@ from ..fusion.tile_fusion import FuseTask, StoredTile, fuse_to_disk
 from ..fusion.walls import has_walls
 from ..fusion.water import DARK, Water, find_water
 from ..fusion.water_index import WaterIndex
+from ..geometry.ground_metric import metric_at
 from ..registration.dem_offset import dem_offset, stated_height_deviation
 from ..registration.laying import prior_of
 from ..reports.styles import write_style
@@ -102,7 +104,9 @@ def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredT
         water = run_whole(_water, (fusion, joined, blocks), progress, "looking for water")
     facts: FusionFacts = run_whole(_written, (fusion, joined, blocks, water), progress, "writing the products")
     bodies = water.bodies if water else ()
-    area, evidence = sum(body.area for body in bodies), water.evidence if water else ""
+    crs, frame = fusion.layout.crs, fusion.scene.frame
+    area = sum(body.area for body in bodies) * metric_at(crs, frame.lon, frame.lat).area_per_unit
+    evidence = water.evidence if water else ""
     return replace(facts, needles=gone, water=len(bodies), water_m2=area, water_evidence=evidence), stored
 
 
@@ -185,14 +189,22 @@ def _say_doubts(water: Water, progress: Progress) -> None:
         progress.info(f"Left out of the water: {areas}, because other ground that is as dark has the same NDWI.")
     if water.bodies and water.evidence.endswith(DARK):
         progress.warn(
-            "Dark, smooth ground, such as tarmac or deep shade, looks like water where no multispectral image shows "
-            "it: check on the images what was found (WATER_MASK), or give XS."
+            Finding(
+                "water-unsure",
+                "Dark, smooth ground, such as tarmac or deep shade, looks like water where no multispectral image "
+                "shows "
+                "it: check on the images what was found (WATER_MASK), or give XS.",
+            )
         )
     unknown = [body for body in water.bodies if not body.known]
     if unknown:
         progress.warn(
-            f"The level of {counted(len(unknown), 'lake')} is not known, because too little of the shore has heights: "
-            "WATER_MASK shows the water, but it is not flattened."
+            Finding(
+                "water-level-unknown",
+                f"The level of {counted(len(unknown), 'lake')} is not known, because too little of the shore has "
+                "heights: "
+                "WATER_MASK shows the water, but it is not flattened.",
+            )
         )
 
 

@@ -9,6 +9,7 @@ from typing import Dict, List, Optional, Sequence, Tuple
 from osgeo import ogr
 
 from ..contracts.errors import Cancelled, ImageError, RepmError
+from ..contracts.findings import Finding
 from ..contracts.options import InspectOptions
 from ..contracts.results import InspectResult
 from ..files.vector import Features, write_layer
@@ -19,7 +20,7 @@ from ..planning.inspection import CARE, YES, Place, inspect_views
 from ..planning.run_estimate import RunEstimate, estimate
 from ..reports.inspection_page import Choice, inspection_page, verdict
 from ..reports.styles import write_style
-from ..runtime.progress import Progress, counted
+from ..runtime.progress import Progress, Recorder, counted
 from ..scene import View, load_view
 from .parameters import ENGINE, EngineParameters
 
@@ -32,8 +33,8 @@ def run(options: InspectOptions, progress: Progress, parameters: EngineParameter
     An image that cannot be used is named in a warning and on the page, and does not stop the others. Raises ImageError
     where none can be used, WorkspaceError.
     """
-    options = with_images(options, progress)
-    views, unusable = _loaded(options, progress)
+    options, run = with_images(options, progress), Recorder(progress)
+    views, unusable = _loaded(options, run)
     if not views:
         path, reason = next(iter(unusable.items()))
         raise ImageError(f"None of {counted(len(unusable), 'image')} can be used; '{os.path.basename(path)}': {reason}")
@@ -48,7 +49,7 @@ def run(options: InspectOptions, progress: Progress, parameters: EngineParameter
     outlook, choices = _outlook(places, tile_px), _choices(places, tile_px)
     if options.report:
         page = inspection_page(places, unusable, parameters.pointing.planning, outlook, choices)
-        page.of(images_name(options.images)).write(options.report)
+        page.of(images_name(options.images)).write(options.report, run)
     progress.info(verdict(places, unusable))
     if outlook:
         progress.info(outlook)
@@ -115,7 +116,7 @@ def _loaded(options: InspectOptions, progress: Progress) -> Tuple[List[View], Di
             raise
         except RepmError as error:
             unusable[path] = str(error)
-            progress.warn(f"'{os.path.basename(path)}' cannot be used: {error}")
+            progress.warn(Finding("image-unusable", f"'{os.path.basename(path)}' cannot be used: {error}"))
     return views, unusable
 
 

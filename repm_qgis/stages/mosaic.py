@@ -16,6 +16,7 @@ from ..contracts.arrays import IntArray
 from ..contracts.checks import as_text
 from ..contracts.documents import Keywords
 from ..contracts.errors import EmptyResultError, ImageError, OverlapError
+from ..contracts.findings import Finding
 from ..contracts.options import DsmFuseOptions, MosaicOptions
 from ..contracts.paths import real_path
 from ..contracts.products import kept_folder
@@ -37,11 +38,12 @@ from ..mosaic.blocks import (
 )
 from ..mosaic.inputs import Layout, Surface, layout_of, require_datum_of_scenes
 from ..mosaic.offsets import Offsets, Overlap, solve_offsets
-from ..mosaic.page import mosaic_page
+from ..mosaic.page import left_differences, mosaic_page
 from ..mosaic.parameters import MosaicParameters, OffsetParameters
 from ..mosaic.products import rasters_of, require_tiles_place, write_mosaic
 from ..names import mosaic_name
 from ..planning.disk_space import mosaic_needs, require_space
+from ..reports import verdict
 from ..runtime.memory import Work, workers_within
 from ..runtime.parallel import kept_workers, run_tasks
 from ..runtime.progress import Part, Progress, Recorder, Silent, counted
@@ -111,9 +113,10 @@ def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: En
     seam = _median(blocks)
     if seam is not None:
         progress.info(f"Along the seams, two DSMs differ by {seam:.3f} m (median) before their heights are blended.")
+    whole.warn_all(verdict.of_mosaic(left_differences(overlaps, offsets)))
     if options.report:
-        page = mosaic_page(options, layout, overlaps, offsets=offsets, cells=cells, seam=seam, warnings=whole.warnings)
-        page.of(mosaic_name(options.output, (*options.dsms, *options.scenes))).write(options.report)
+        page = mosaic_page(options, layout, overlaps, offsets=offsets, cells=cells, seam=seam)
+        page.of(mosaic_name(options.output, (*options.dsms, *options.scenes))).write(options.report, whole)
     progress.step(1.0, "Mosaic made")
     return MosaicResult(
         output=options.output,
@@ -299,8 +302,12 @@ def _name_large(layout: Layout, offsets: Offsets, parameters: OffsetParameters, 
     ]
     if moved:
         progress.warn(
-            f"DSMs are moved by more than {parameters.most_m:g} m: {', '.join(moved)}; check their vertical datums and "
-            "units, and name those that are right in FIXED."
+            Finding(
+                "dsm-moved-far",
+                f"DSMs are moved by more than {parameters.most_m:g} m: {', '.join(moved)}; check their vertical "
+                "datums and "
+                "units, and name those that are right in FIXED.",
+            )
         )
 
 
@@ -321,8 +328,12 @@ def _name_unexpected(
         names = ", ".join(text for _, text in sorted(found)[:_FEW])
         more = f", and {counted(len(found) - _FEW, 'pair')} more" if len(found) > _FEW else ""
         progress.warn(
-            f"Heights of DSMs differ by more than their stated uncertainties explain: {names}{more}; check the RPCs, "
-            "ground control and vertical datums of both, and name those that are right in FIXED."
+            Finding(
+                "dsms-contradict",
+                f"Heights of DSMs differ by more than their stated uncertainties explain: {names}{more}; check the "
+                "RPCs, "
+                "ground control and vertical datums of both, and name those that are right in FIXED.",
+            )
         )
 
 
@@ -341,8 +352,11 @@ def _name_displaced(
         names = ", ".join(f"'{first}' and '{second}' by {-by:.1f} m" for by, first, second in displaced[:_FEW])
         more = f", and {counted(len(displaced) - _FEW, 'pair')} more" if len(displaced) > _FEW else ""
         progress.warn(
-            f"DSMs are displaced horizontally: {names}{more}; a mosaic only moves heights, so register them "
-            "(repm:register), or check their CRS."
+            Finding(
+                "dsms-displaced",
+                f"DSMs are displaced horizontally: {names}{more}; a mosaic only moves heights, so register them "
+                "(repm:register), or check their CRS.",
+            )
         )
 
 
@@ -368,5 +382,8 @@ def _log(layout: Layout, overlaps: Sequence[Overlap], offsets: Offsets, progress
         names = [", ".join(os.path.basename(layout.dsms[i].name) for i in group) for group in offsets.groups]
         text = f"The DSMs form {len(names)} groups that do not overlap ({'; '.join(names)})"
         progress.warn(
-            f"{text}: each group has its own solution, and heights of different groups may differ by an offset."
+            Finding(
+                "dsms-in-groups",
+                f"{text}: each group has its own solution, and heights of different groups may differ by an offset.",
+            )
         )

@@ -35,7 +35,6 @@ class TileParameters(Parameters):
     least_cells: int = 4  # along each side of a DSM: a coarser cell is refused
     most_tiles: int = 10_000  # 40,000 px a side in tiles of 400 px: more take days, and their scene half a gigabyte
     cell_gsd: float = 2.0  # side of an automatic cell of the DSM in ground sampling distances
-    few_cells_percent: float = 20.0  # a DSM with heights in fewer cells is worth a warning
 
 
 @dataclass(frozen=True)

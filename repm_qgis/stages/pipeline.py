@@ -23,7 +23,7 @@ from ..pointing.control_places import require_places
 from ..pointing.ground_control import read_gcps
 from ..reports.stage_reports import pipeline_report
 from ..runtime.parallel import kept_workers
-from ..runtime.progress import Part, Progress, Silent
+from ..runtime.progress import Part, Progress, Recorder, Silent
 from ..runtime.workspace import ensure_folder, with_copy
 from ..scene import Scene
 from ..solids.ept import require_ept_place
@@ -40,10 +40,10 @@ R = TypeVar("R", bound=Result)
 def run(options: PipelineOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> PipelineResult:
     """Run all stages; gives every product, and the seconds of each stage."""
     with kept_workers():
-        return _run(options, progress, parameters)
+        return _run(options, Recorder(progress), parameters)
 
 
-def _run(options: PipelineOptions, progress: Progress, parameters: EngineParameters) -> PipelineResult:
+def _run(options: PipelineOptions, progress: Recorder, parameters: EngineParameters) -> PipelineResult:
     if options.preset != "none":
         values = ", ".join(f"{name.upper()} {value}" for name, value in PRESETS[options.preset].items())
         progress.info(f"Preset {options.preset}: {values}, where they are not given.")
@@ -101,7 +101,7 @@ def _run(options: PipelineOptions, progress: Progress, parameters: EngineParamet
     )
     report = pipeline_report(scene, result, options.command).of(scene_title(scene, scene_path))
     for path in report_paths:
-        report.write(path)
+        report.write(path, progress)
     progress.step(1.0, "done")
     return result
 

@@ -13,6 +13,7 @@ from osgeo import ogr
 
 from ..contracts.arrays import Altitudes, Bounds, FloatArray
 from ..contracts.errors import EmptyResultError
+from ..contracts.findings import Finding
 from ..contracts.options import ReconstructOptions
 from ..contracts.paths import real_path
 from ..contracts.records import HeightMapRecord, ViewPair
@@ -37,6 +38,7 @@ from ..pointing.pointing import point_views
 from ..pointing.vertical_parallax import largest_parallax
 from ..reports.stage_reports import reconstruct_report
 from ..reports.styles import write_style
+from ..reports.verdict import of_run
 from ..runtime.parallel import run_tasks
 from ..runtime.progress import Part, Progress, Recorder, counted
 from ..runtime.workspace import ensure_folder, fingerprint, with_copy
@@ -52,13 +54,13 @@ Stretches = Dict[str, Stretch]  # by the views' names
 
 def run(options: ReconstructOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> ReconstructResult:
     """Point the views relative to each other, match tiles; gives the scene with height maps, ties, and the folder."""
-    start, parameters = time.monotonic(), parameters.of_quality(options.quality)
+    start, parameters, notes = time.monotonic(), parameters.of_quality(options.quality), Recorder(progress)
     backends = resolve(options.backend)
     scene = Scene.load(options.scene)
     scene.require_images()
     if not scene.refinement:
         scene = replace(scene, refinement="polynomial")
-    elsewhere: List[str] = []
+    elsewhere: List[Finding] = []
     gcps = read_gcps(options.gcps, scene.views, options.gcp_datum, elsewhere.append) if options.gcps else []
     require_places(gcps, scene.views, options.gcps or "", parameters.pointing)
     # The fingerprint takes the contents of control points: QGIS writes those of a layer into another temporary file for
@@ -77,9 +79,7 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         maps = counted(sum(len(t.heights) for t in done.tiles), "height map")
         progress.info(f"Reused {maps} and the relative pointing in '{options.output_scene}'.")
     else:
-        notes = Recorder(progress)
-        for text in elsewhere:
-            notes.warn(text)
+        notes.warn_all(elsewhere)
         pairs = pairs_of(scene, options, parameters)
         require_space("matching", [heights_need(scene, matched_pairs(pairs, backends[0]), str(folder))], progress)
         ties = f"{folder_of(place, 'tie_points')}.gpkg"
@@ -94,14 +94,15 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         part = Part(notes, 0.98, 1.0)
         scene = with_agreeing_maps(scene, options.workers, options.memory, part, parameters.fusion, matching)
         scene.require_same_images()  # at the end, too: one may have been replaced during the work
+        notes.warn_all(of_run(scene))
         seconds, changes = time.monotonic() - start, parameters.changes()
-        done = scene.recorded("reconstruct", key, options.to_json(), seconds, notes.warnings, changes)
+        done = scene.recorded("reconstruct", key, options.to_json(), seconds, notes.findings, changes)
         done.save(options.output_scene)
     ties_path = with_copy(done.tie_points, options.tie_points)[-1]
     if ties_path != done.tie_points:
         copy_layer(done.tie_points, ties_path)
     write_style("tie_points", ties_path)  # of those that are reused too: their reader may have another language
-    reconstruct_report(done).of(scene_title(done, options.output_scene)).write(report_path)
+    reconstruct_report(done).of(scene_title(done, options.output_scene)).write(report_path, notes)
     progress.step(1.0, "heights reconstructed")
     return ReconstructResult(
         output_scene=options.output_scene,
@@ -163,7 +164,9 @@ def _pointed(
     if gcps and not any(gcp.role == "control" and gcp.pixels for gcp in gcps):
         remedy = "fill the fields view, col and row of points with the role control"
         effect = f"the absolute position is that of the vendors' RPCs; {remedy}"
-        progress.warn(f"No control point of '{options.gcps}' was measured in an image: {effect}.")
+        progress.warn(
+            Finding("gcps-unmeasured", f"No control point of '{options.gcps}' was measured in an image: {effect}.")
+        )
     tied = [pair for pair in scene.pairs if pair.tied]
     found = point_views(
         scene,
@@ -180,10 +183,10 @@ def _pointed(
     scene = replace(scene, views=tuple(found.views), pointing=found.figures)
     _write_ties(scene, found.tracks, found.adjusted, found.xy)
     off = heights_off(gcps, scene.views, tied, found.figures, parameters.pointing)
-    if off:
+    if off is not None:
         progress.warn(off)
-    for text in advice(scene, scene.pairs, found.figures, parameters.pointing.planning):
-        progress.warn(text)
+    for finding in advice(scene, scene.pairs, found.figures, parameters.pointing.planning):
+        progress.warn(finding)
     return _narrowed(scene, lambda bounds: found.altitudes(bounds, parameters.pointing), parameters.altitudes)
 
 
@@ -245,7 +248,7 @@ def _matched(job: MatchingJob, backends: Sequence[Backend], parameters: TilePara
         progress.info(f"Reused {reused} of {len(records)} height maps that an earlier run had finished.")
     remade = ", ".join(f"'{record.file}'" for record in records if record and record.remade)
     if remade:
-        progress.warn(f"These height maps were damaged and have been made again: {remade}.")
+        progress.warn(Finding("maps-remade", f"These height maps were damaged and have been made again: {remade}."))
     _check(records, parameters, progress)
     kept = [replace(record, reused=False, remade=False) for record in records if record and record.valid]
     return job.scene.with_tiles(lambda tile: replace(tile, heights=tuple(r for r in kept if r.tile == tile.id)))

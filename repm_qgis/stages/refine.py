@@ -34,7 +34,7 @@ _BATCH = 32  # tiles of a task that writes no images: starting processes costs a
 
 def run(options: RefineOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> RefineResult:
     """Refine all tiles; gives the refined scene and the report."""
-    start = time.monotonic()
+    start, notes = time.monotonic(), Recorder(progress)
     scene = Scene.load(options.scene)
     if options.write_images:
         scene.require_images()
@@ -47,16 +47,15 @@ def run(options: RefineOptions, progress: Progress, parameters: EngineParameters
         progress.info(f"Reused the refinement ({done.refinement}) in '{options.output_scene}'.")
         scene = done
     else:
-        notes = Recorder(progress)
         if options.write_images:
             require_space("refinement", [images_need(scene, options.output_scene)], progress)
         scene = _refine(replace(scene, path=Path(options.output_scene)), options, parameters, notes)
         if options.write_images:
             scene.require_same_images()
         seconds, changes = time.monotonic() - start, parameters.changes()
-        scene = scene.recorded("refine", key, options.to_json(), seconds, notes.warnings, changes)
+        scene = scene.recorded("refine", key, options.to_json(), seconds, notes.findings, changes)
         scene.save(options.output_scene)
-    refine_report(scene).of(scene_title(scene, options.output_scene)).write(report_path)
+    refine_report(scene).of(scene_title(scene, options.output_scene)).write(report_path, notes)
     errors = [view.refined.error for tile in scene.tiles for view in tile.views.values() if view.refined]
     rmse, largest = float(np.sqrt(np.mean([e.rmse**2 for e in errors]))), max(e.max for e in errors)
     progress.info(f"Equivalent error after {scene.refinement} refinement: RMSE {rmse:.3f} px, max {largest:.3f} px.")

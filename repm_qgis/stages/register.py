@@ -14,6 +14,7 @@ import pyproj
 from osgeo import ogr
 
 from ..contracts.errors import EmptyResultError, OverlapError, SceneError
+from ..contracts.findings import Finding
 from ..contracts.options import RegisterOptions
 from ..contracts.records import GroundShift, RegistrationFigures
 from ..contracts.results import RegisterResult
@@ -39,6 +40,7 @@ from ..registration.stable import stable_cells
 from ..registration.surfaces import SupportMeans
 from ..reports.registration_section import registration_page
 from ..reports.styles import write_style
+from ..reports.verdict import of_registration
 from ..runtime.progress import Part, Progress, Recorder
 from ..runtime.workspace import ensure_folder, file_identity, fingerprint
 from ..scene import Scene, folder_of, reusable
@@ -64,7 +66,7 @@ def run(options: RegisterOptions, progress: Progress, parameters: EngineParamete
     EmptyResultError for one with too few heights, OptionError for a datum that cannot be found, ImageError,
     InputTableError.
     """
-    start = time.monotonic()
+    start, notes = time.monotonic(), Recorder(progress)
     datum = named_datum(options.reference_datum, "REFERENCE_DATUM")
     outputs = [options.output_scene, *map(registered_path, options.others)]
     scenes = [
@@ -75,15 +77,14 @@ def run(options: RegisterOptions, progress: Progress, parameters: EngineParamete
     if len(made) == len(scenes):
         progress.info(f"Reused the registration in '{options.output_scene}'.")
     else:
-        notes = Recorder(progress)
         found = _registered(options, scenes, datum, notes, parameters)
         seconds, changes = round(time.monotonic() - start, 3), parameters.changes()
         chosen = options.to_json()
-        made = [scene.recorded("register", key, chosen, seconds, notes.warnings, changes) for scene in found]
+        made = [scene.recorded("register", key, chosen, seconds, notes.findings, changes) for scene in found]
         for scene, output in zip(made, outputs):
             scene.save(output)
     figures = _figures(made[0])
-    _write_products(made[0], figures, options)
+    _write_products(made[0], figures, options, notes)
     progress.step(1.0, "scene registered")
     east, north, up = figures.latest.moved
     east_deviation, north_deviation, up_deviation = figures.deviation
@@ -174,8 +175,8 @@ def _registered(
     if not any(work.laid for work in works) and options.reference:
         names = ", ".join(f"'{path}'" for path in options.reference)
         raise OverlapError(f"No reference ({names}) covers the scene: choose one that does.")
-    for text in contradictions(observations, parameters.registration):
-        progress.warn(text)
+    for finding in contradictions(observations, parameters.registration):
+        progress.warn(finding)
     observations += [Observation.of_shift("an overlap", shift, i, j) for i, j, shift in between]
     centres = [work.surface.grid.middle for work in works]
     placed = place_scenes(centres, [work.prior for work in works], observations)
@@ -222,10 +223,8 @@ def _work(
         parameters=parameters.fusion,
     )
     for later, first in reversed(copies(found, numbers)):
-        progress.warn(
-            f"'{found[later].name}' has the same heights as '{found[first].name}': a copy is no second evidence, so it "
-            "is left out."
-        )
+        text = f"'{found[later].name}' has the same heights as '{found[first].name}': a copy is no second evidence, so "
+        progress.warn(Finding("reference-copied", text + "it is left out."))
         del found[later]
     if options.stable:
         height[~stable_cells(options.stable, grid, scene.crs)] = np.nan
@@ -357,52 +356,36 @@ def _say(figures: RegistrationFigures, progress: Progress) -> None:
         f"The scene was moved by ({east:+.2f}, {north:+.2f}, {up:+.2f}) m to the east, to the north and up; the "
         f"standard deviations are {deviations[0]:.2f}, {deviations[1]:.2f} and {deviations[2]:.2f} m."
     )
-    if len(figures.determined) < 2:
-        if figures.determined:
-            progress.warn(
-                f"The relief determines the horizontal position only along {_azimuth(figures.determined[0])}: across "
-                "it, the scene stays where the vendors' RPCs put it."
-            )
-        else:
-            progress.warn(
-                "The relief does not determine the horizontal position: horizontally, the scene stays where the "
-                "vendors' RPCs put it."
-            )
-    for words, size, promised_m in figures.unexpected():
-        progress.warn(
-            f"The shift of {size:.1f} m {words} is more than expected from the vendors' promise and the agreement of "
-            f"their RPCs (nine of ten scenes need at most {promised_m:.1f} m): check the place and the vertical datum "
-            "of the reference."
-        )
-
-
-def _azimuth(direction: Tuple[float, float]) -> str:
-    """A horizontal direction in degrees from north, 0 to 180: it has no sign."""
-    return f"{math.degrees(math.atan2(direction[0], direction[1])) % 180.0:.0f} degrees from north"
+    for finding in of_registration(figures):
+        progress.warn(finding)
 
 
 def _log(laid: Laid, scene: Scene, prior: Prior, numbers: RegistrationParameters, progress: Progress) -> None:
     figures = laid.figures()
     east, north, up = figures.moved
     if laid.choice:
-        (progress.info if laid.choice.certain else progress.warn)(laid.choice.sentence)
+        if laid.choice.certain:
+            progress.info(laid.choice.sentence)
+        else:
+            progress.warn(Finding("reference-datum-unsure", laid.choice.sentence))
     if laid.other_datum:
-        progress.warn(laid.other_datum)
-    if figures.other_relief is not None:
-        progress.warn(figures.other_relief.sentence(figures.file))
+        progress.warn(Finding("reference-datum-contradicts", laid.other_datum, "doubt"))
     covered = laid.covered(numbers.cover_parts)
     if covered < numbers.least_covered:
-        progress.warn(
+        text = (
             f"'{figures.file}' has heights in {100 * covered:.0f} % of the scene only: the rest is moved by the same "
             "shift, which nothing there checks. Give a reference of the whole scene."
         )
-    cause = laid.cause(numbers.believable * prior.up_m, geodetic_from_projected(scene.crs, np.array([laid.means.middle]))[0])
+        progress.warn(Finding("reference-covers-little", text))
+    middle = geodetic_from_projected(scene.crs, np.array([laid.means.middle]))[0]
+    cause = laid.cause(numbers.believable * prior.up_m, middle)
     if cause:
-        progress.warn(
+        text = (
             f"'{figures.file}' lies {up:+.1f} m from the scene in height, more than {numbers.believable:g} standard "
             f"deviations of the RPCs' errors ({prior.up_m:.1f} m) explain. It would lie {cause}: check its unit and "
             "REFERENCE_DATUM."
         )
+        progress.warn(Finding("reference-unit-or-datum", text, "doubt"))
     progress.info(
         f"'{figures.file}': heights above the {figures.datum}{'' if laid.choice else f' ({figures.datum_from})'}; "
         f"{figures.used} of {figures.seen} heights on the scene's surface are used. They give a shift of "
@@ -443,7 +426,7 @@ def _write_differences(work: _Work, ground: GroundShift) -> str:
     return write(path, bands, grid.geotransform, wkt, unit="m", descriptions=names)
 
 
-def _write_products(scene: Scene, figures: RegistrationFigures, options: RegisterOptions) -> None:
+def _write_products(scene: Scene, figures: RegistrationFigures, options: RegisterOptions, notes: Recorder) -> None:
     """The products that the user requested, from the files beside the scene."""
     if options.differences and figures.differences:
         with opened(figures.differences) as dataset:
@@ -458,7 +441,8 @@ def _write_products(scene: Scene, figures: RegistrationFigures, options: Registe
         longest = max((math.hypot(*offset.moved[:2]) for offset in figures.offsets), default=0.0)
         write_style("offsets", options.offsets, limits=(0.0, float(f"{longest / 2:.1g}") or 1.0))
     if options.report:
-        registration_page(scene, figures).of(scene_title(scene, options.output_scene)).write(options.report)
+        page = registration_page(scene, figures)
+        page.of(scene_title(scene, options.output_scene)).write(options.report, notes)
 
 
 def _arrows(figures: RegistrationFigures) -> Iterator[Tuple[ogr.Geometry, Tuple[float, ...]]]:

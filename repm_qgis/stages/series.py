@@ -8,7 +8,7 @@ from ..contracts.results import SeriesResult
 from ..names import dates_title
 from ..reports.styles import write_style
 from ..runtime.parallel import run_whole
-from ..runtime.progress import Part, Progress, counted
+from ..runtime.progress import Part, Progress, Recorder, counted
 from ..series.finding import FoundSeries, find_series
 from ..series.layers import write_layers
 from ..series.page import series_page
@@ -24,9 +24,9 @@ def run(options: SeriesOptions, progress: Progress) -> SeriesResult:
 
 
 def _followed(options: SeriesOptions, progress: Progress) -> SeriesResult:
-    found = find_series(options, Part(progress, 0.0, 0.92))
-    for text in found.warnings:
-        progress.warn(text)
+    run = Recorder(progress)
+    found = find_series(options, Part(run, 0.0, 0.92))
+    run.warn_all(found.warnings)
     for product, path in paths_of("series", options):
         if product.style:
             write_style(product.style, path, (-found.shown_m_a, found.shown_m_a) if product.style == "trend" else None)
@@ -34,7 +34,7 @@ def _followed(options: SeriesOptions, progress: Progress) -> SeriesResult:
     if options.report:
         progress.step(0.95, "Report")
         paths = [each.path for each in found.series]
-        series_page(options, found).of(dates_title(*paths)).write(options.report)
+        series_page(options, found).of(dates_title(*paths)).write(options.report, run)
     _log(found, progress)
     progress.step(1.0, "Done")
     first = found.areas[0] if found.areas else None

@@ -11,8 +11,9 @@ import pyproj
 from .. import __version__
 from ..contracts.arrays import Size
 from ..contracts.errors import ImageError
-from ..evaluation.grids import Grid, cell_sides
+from ..evaluation.grids import Grid, cell_sides, metric_of
 from ..geometry.frames import flat_crs, on_earth, utm_crs
+from ..geometry.ground_metric import MOST_DISTORTION
 from ..geometry.vertical import TAG, HeightDatum
 from ..imagery.confidence import confidence_bands
 from ..imagery.raster import opened
@@ -72,7 +73,8 @@ def surface_of(path: str, confidence: Optional[str]) -> Surface:
 
 
 def _cell(grid: Grid) -> float:
-    """The side of a cell, m; raises ImageError for cells that are not squares in metres."""
+    """The side of a cell, m on the ground, where the CRS is not true to scale, and in its own metres elsewhere; raises
+    ImageError for cells that are not squares in metres."""
     crs = flat_crs(grid.crs)
     sides = cell_sides(grid)
     if crs.is_geographic or abs(sides[0] - sides[1]) > _SQUARE * max(sides):
@@ -81,6 +83,9 @@ def _cell(grid: Grid) -> float:
             f"The DSM '{grid.path}' in {crs.name} has no square cells in metres: reproject it first, such as to "
             f"{utm_crs(longitude, latitude)} (Raster > Projections > Warp)."
         )
+    metric = metric_of(grid)
+    if metric.distortion <= MOST_DISTORTION:  # cells of 0.5 m stay such: the method's sizes are in whole cells
+        sides = (sides[0] / metric.per_unit[0], sides[1] / metric.per_unit[1])
     return float(f"{sum(sides) / 2:.9g}")
 
 

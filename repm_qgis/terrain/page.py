@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Dict, List, Mapping, Sequence, Tuple
+from typing import Dict, List, Mapping, Tuple
 
 import numpy as np
 
@@ -17,14 +17,10 @@ _PICTURE_PX = 700
 _TALL_M = 2.0  # lower heights are left out of the histogram: cars, hedges and noise
 
 
-def terrain_page(options: DtmOptions, surface: Surface, result: DtmResult, warnings: Sequence[str]) -> Report:
+def terrain_page(options: DtmOptions, surface: Surface, result: DtmResult) -> Report:
     """What was found: DSM, terrain and their difference beside each other, figures, and two profiles."""
     page = Report("Terrain of a DSM", f"{options.output}, of {options.scene or options.dsm}")
-    few = "Most of the heights belong to objects: choose a smaller LARGEST or a larger SLOPE where hills are gone."
-    page.verdict(
-        f"{result.objects_percent:.1f} % of the DSM's heights belong to objects.",
-        [*([few] if result.objects_percent > 80 else []), *warnings],
-    )
+    page.verdict(f"{result.objects_percent:.1f} % of the DSM's heights belong to objects.", about=True)
     heights: Dict[str, FloatImage] = {}
     cell = 1.0
     for name, path in (("DSM", surface.path), ("terrain", options.output)):

@@ -189,9 +189,9 @@ def validated(program, city, folder):
 
 
 def test_a_compound_reference_system_has_its_own_code(tmp_path):
-    base = ground()
-    dsm = written(tmp_path / "dsm.tif", [built(base, HOUSES[:1])], crs="EPSG:7415", metadata={})
-    dtm = written(tmp_path / "dtm.tif", [base], crs="EPSG:7415", metadata={})
+    base, place = ground(), (155000.0, CELL, 0.0, 463000.0, 0.0, -CELL)  # in the Netherlands
+    dsm = written(tmp_path / "dsm.tif", [built(base, HOUSES[:1])], place, crs="EPSG:7415", metadata={})
+    dtm = written(tmp_path / "dtm.tif", [base], place, crs="EPSG:7415", metadata={})
     city = str(tmp_path / "b.json")
     run_stage("buildings", {"dsm": dsm, "dtm": dtm, "output": str(tmp_path / "b.gpkg"), "cityjson": city}, Silent())
     assert checked(city)[0]["metadata"]["referenceSystem"].endswith("/EPSG/0/7415")
@@ -344,7 +344,7 @@ def test_nothing_found_is_said_and_gives_empty_files(tmp_path):
     assert ogr.Open(given["output"]).GetLayer(0).GetFeatureCount() == 0
     city, solids = checked(given["cityjson"])
     assert city["CityObjects"] == {} and city["vertices"] == [] and solids == {}
-    assert "There are no buildings" in (tmp_path / "b.html").read_text(encoding="utf-8")
+    assert "No building of at least 2.5 m" in (tmp_path / "b.html").read_text(encoding="utf-8")
 
 
 def test_what_cannot_be_used_is_refused_in_a_sentence(tmp_path):

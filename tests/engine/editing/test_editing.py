@@ -312,7 +312,7 @@ def test_what_cannot_be_done_is_said_and_leaves_nothing(tmp_path):
         edited(tmp_path, dsm, confidence=other, edited_confidence=str(tmp_path / "c.tif"))
     progress = Recorder(Silent())
     heights, result = edited(tmp_path, dsm, edit(9, "remove", box(900, 900, 950, 950)), progress=progress)
-    assert result.edited_cells == 0 and "Edit 9 lies outside the DSM" in progress.warnings[0]
+    assert result.edited_cells == 0 and "Edit 9 lies outside the DSM" in progress.findings[0]
     assert not [path.name for path in tmp_path.iterdir() if ".part" in path.name]
 
 

@@ -56,7 +56,7 @@ def score(shared_data, dsm, reference):
 )
 def test_distances_along_the_normal_of_a_tilted_plane(make_raster, tmp_path, moved, height, distance):
     """A plane that rises by 3 m on 4 m: its normal is (-0.6, 0, 0.8)."""
-    east = np.tile(0.5 * (np.arange(60) + 0.5), (50, 1))  # cells of 0.5 m
+    east = np.tile(0.5 / 0.9996 * (np.arange(60) + 0.5), (50, 1))  # cells of 0.5 m on UTM's central meridian
     reference, dsm = 0.75 * east, 0.75 * (east - moved[0]) + moved[2]
     reference[20:24, 30:36] = np.nan  # its border has no slope
     page = tmp_path / "r.html"

@@ -397,7 +397,7 @@ def test_an_update_keeps_the_environment_or_renews_it(index, home, plugin):
     (home / "engine-0000000000").mkdir()  # what a kill has left
     heard = Recorder(Silent())
     install(PYTHON, second, heard)
-    assert heard.warnings == [] and answers(second, "lazrs") == "42" and left(home) == [os.path.basename(second)]
+    assert heard.findings == [] and answers(second, "lazrs") == "42" and left(home) == [os.path.basename(second)]
     assert environments.usable([str(home)], [PYTHON], plugin) == second
     assert environments.remove([second]) == [] and left(home) == []
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 from dataclasses import replace
 
 import numpy as np
@@ -15,8 +14,7 @@ from repm_qgis.contracts.records import GroundShift
 from repm_qgis.evaluation.coregistration import align
 from repm_qgis.geometry.cell_grid import CellGrid
 from repm_qgis.registration import estimation
-from repm_qgis.registration.adjustment import Observation, contradictions, place_scenes
-from repm_qgis.registration.clouds import CellSums
+from repm_qgis.registration.adjustment import Observation, contradictions
 from repm_qgis.registration.copies import are_same, copies
 from repm_qgis.registration.found import FoundHeights
 from repm_qgis.registration.parameters import REGISTRATION

@@ -10,10 +10,11 @@ import pytest
 from osgeo import gdal
 
 from repm_qgis.contracts.errors import ImageError, OptionError, WorkspaceError
+from repm_qgis.contracts.findings import Finding
 from repm_qgis.imagery import raster
 from repm_qgis.reports import charts, pictures, styles
 from repm_qgis.reports.report import Report, number
-from repm_qgis.runtime.progress import Silent
+from repm_qgis.runtime.progress import Recorder, Silent
 from repm_qgis.stages import run_stage
 from tests.engine.pages import checked
 
@@ -23,7 +24,9 @@ def full_page():
     outline = np.array([[5.0, 43.0], [5.1, 43.0], [5.1, 43.1], [5.0, 43.1]])
     page = Report("A <b>title</b> & more", "sub")
     page.section("One").paragraph("<i>x</i>").facts([("a<", 1.5), ("b", None)])
-    page.section("Two").table(["name", "value"], [["<x>", 1.25], ["y", None]], "a caption").warning("odd", "do this")
+    page.section("Two").table(["name", "value"], [["<x>", 1.25], ["y", None]], "a caption").verdict(
+        "fine", [Finding("odd", "odd")]
+    )
     page.section("Three").command("run --x <y>").png(pictures.png_bytes(np.zeros((3, 4, 3), np.uint8)), 'a "quote"')
     page.svg(charts.histogram(rng.normal(size=500), "m", "<t>"))
     page.svg(charts.curves({"<c>": (np.arange(9), np.arange(9) ** 2), "d": ([0, 1], [np.nan, 2])}, "x", "y"))
@@ -36,7 +39,7 @@ def full_page():
 def test_page_is_whole_escaped_and_offline():
     page = checked(full_page().html())
     text = "".join(page.text)
-    for piece in ("A <b>title</b> & more", "<i>x</i>", "<x>", "run --x <y>", "<img>", "<c>", "do this"):
+    for piece in ("A <b>title</b> & more", "<i>x</i>", "<x>", "run --x <y>", "<img>", "<c>", "odd"):
         assert piece in text
     assert "i" not in page.tags and "x" not in page.tags and page.tags.count("svg") == 5
     assert page.tags.count("nav") == 1
@@ -79,7 +82,7 @@ def test_report_refuses_what_it_cannot_show(tmp_path):
         page.png(b"GIF89a")
     (tmp_path / "file").write_text("")
     with pytest.raises(WorkspaceError):
-        page.write(tmp_path / "file" / "r.html")
+        page.write(tmp_path / "file" / "r.html", Recorder(Silent()))
 
 
 @pytest.mark.parametrize(

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import copy
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from repm_qgis.contracts.checks import Misfit
+from repm_qgis.contracts.findings import Finding
 from repm_qgis.contracts.options import CheckGcpsOptions
-from repm_qgis.contracts.records import FusionFacts
+from repm_qgis.contracts.records import FusionFacts, StageRecord
 from repm_qgis.evaluation.gcp_accuracy import GcpAccuracy
 from repm_qgis.evaluation.metrics import height_metrics
 from repm_qgis.fusion.rasters import overlap_m2
@@ -19,6 +23,7 @@ from repm_qgis.reports.gcp_page import gcp_page
 from repm_qgis.reports.parameters import VERDICT
 from repm_qgis.reports.report import Report
 from repm_qgis.reports.stage_reports import errormap_report, fit_report, pipeline_report, refine_report
+from repm_qgis.runtime.progress import Recorder, Silent
 from repm_qgis.runtime.translation import written_in
 from repm_qgis.scene import Scene
 from tests.engine.pages import plain
@@ -50,10 +55,6 @@ def test_each_figure_beyond_its_bound_is_a_finding(made):
         "tie points is 0.60 px (usual: at most 0.5 px)": (replace(scene, pointing=replace(ties, after_px=0.6)), facts),
         "keep a vertical parallax of 0.90 px": (replace(scene, pointing=replace(ties, pairs=pairs)), facts),
         "contradict the others (P1)": (replace(scene, pointing=replace(ties, rejected_gcps=("P1",))), facts),
-        "Warnings of the stages (listed below): 1.": (
-            replace(scene, history=(replace(scene.history[0], warnings=("x",)), *scene.history[1:])),
-            facts,
-        ),
     }
     for text, case in cases.items():
         (finding,) = verdict.of_run(*case)
@@ -61,6 +62,34 @@ def test_each_figure_beyond_its_bound_is_a_finding(made):
     worst = verdict.largest_error_px(scene)
     (finding,) = verdict.of_run(scene, facts, replace(VERDICT, most_equivalent_px=worst / 2))
     assert "The cameras of a tile differ from the RPC" in finding
+
+
+def test_no_page_is_good_where_a_stage_or_the_run_has_warned(urban_run, made, tmp_path):
+    scene, _ = made
+    early = replace(scene.history[0], warnings=(Finding("a", "An early warning."),))
+    warned = replace(scene, history=(early, *scene.history[1:]))
+    pages = {"run": pipeline_report(warned, urban_run.result, None), "fit": fit_report(warned)}
+    for name, top in tops({**pages, "refinement": refine_report(warned)}).items():
+        assert "<li>An early warning.</li>" in top and "Good." not in top, name
+    run = Recorder(Silent())
+    run.warn(Finding("b", "A late warning.", "doubt"))
+    run.warn(Finding("b", "A late warning.", "doubt"))
+    pipeline_report(scene, urban_run.result, None).write(tmp_path / "r.html", run)
+    page = plain((tmp_path / "r.html").read_text(encoding="utf-8"))
+    assert page.count("<li>A late warning.</li>") == 1 and "Good." not in page
+    assert "<strong>Do not use it before you have looked at:</strong>" in page
+
+
+def test_findings_survive_a_scene_file_and_a_copy(made, tmp_path):
+    scene, _ = made
+    finding = Finding("dem-apart", "The DSM lies 42.0 m above the DEM.", "doubt")
+    entry = replace(scene.history[0], warnings=(finding,))
+    (again,) = StageRecord.from_mapping(json.loads(json.dumps(entry.to_mapping()))).warnings
+    for each in (again, copy.copy(finding)):
+        assert (each, each.id, each.level) == (finding, "dem-apart", "doubt")
+    for wrong in ("x", {"id": "a", "text": "b", "level": "c"}):
+        with pytest.raises(Misfit, match="an id, a level and a text"):
+            StageRecord.from_mapping({**entry.to_mapping(), "warnings": [wrong]})
 
 
 def test_a_report_lists_what_to_look_at(urban_run, made):
@@ -126,7 +155,8 @@ def test_the_pages_of_cameras_begin_with_a_verdict(made, urban_run, tmp_path):
     assert "by 0.31 px" in finding and "refine the images" in finding
     assert "another MODEL" in verdict.of_error_map(1, True)[0]
     bad = errormap_report(scene, scene.views[0], raster, 0.5, 0.9, 200.0)
-    assert "<strong>Look at:</strong>" in tops({"map": bad})["map"]
+    top = plain(bad.html(verdict.of_error_map(0.5, False))).split("<h2")[0]
+    assert "<strong>Look at:</strong>" in top
 
 
 def test_the_words_of_the_page_are_in_the_language_of_each():
@@ -136,7 +166,7 @@ def test_the_words_of_the_page_are_in_the_language_of_each():
         ("en", ("Good.", "Look at:")),
     ):
         with written_in(language):
-            pages = Report("x").verdict("y", []).html(), Report("x").verdict("y", ["z"]).html()
+            pages = Report("x").verdict("y", []).html(), Report("x").verdict("y", [Finding("z", "z")]).html()
         assert all(f"<strong>{word}</strong>" in page for word, page in zip(words, pages)), language
 
 
@@ -159,7 +189,6 @@ def test_a_check_of_points_is_judged():
         "Points that can be used: 3 (with fewer than 4": points(3, [0.1]),
         "in the images is 2.00 px (usual: at most 1.5 px)": points(6, [0.1], 2.0),
         "contradict the others (P0)": replace(good, wrong=("P0",)),
-        "Warnings (listed below): 1.": replace(good, warnings=["x"]),
     }
     for text, found in cases.items():
         (finding,) = verdict.of_points(found)
@@ -171,10 +200,9 @@ def test_a_check_of_points_is_judged():
 
 def test_a_mosaic_is_judged_by_what_the_offsets_leave():
     fine = [verdict.Difference(1, 2, 0.4, 0.1), verdict.Difference(2, 3, -0.9, 0.5)]
-    assert verdict.of_mosaic(fine, []) == []
+    assert verdict.of_mosaic(fine) == []
     wide = verdict.Difference(1, 3, -1.2, 0.5)
-    (finding,) = verdict.of_mosaic([*fine, wide], [])
+    (finding,) = verdict.of_mosaic([*fine, wide])
     assert "1 of 3, at most 1.20 m (DSMs 1 and 3)" in finding
-    assert verdict.of_mosaic(fine, ["a", "b"]) == ["Warnings (listed below): 2."]
-    (finding,) = verdict.of_mosaic([*fine, verdict.Difference(2, 3, 0.1, 31.0)], [])
+    (finding,) = verdict.of_mosaic([*fine, verdict.Difference(2, 3, 0.1, 31.0)])
     assert "do not show the same surface: 1 of 3; those of DSMs 2 and 3 differ by 31.0 m (NMAD" in finding

@@ -65,15 +65,14 @@ def test_one_height_that_agrees_is_the_whole_of_a_reference_of_one():
 
 
 def test_a_change_is_judged_by_share_shift_and_level():
-    assert verdict.of_change(0.3, -10.0, 3.0, []) == []  # the bounds themselves
-    (most,) = verdict.of_change(0.42, 0.0, 1.0, [])
+    assert verdict.of_change(0.3, -10.0, 3.0) == []  # the bounds themselves
+    (most,) = verdict.of_change(0.42, 0.0, 1.0)
     assert "42 % of the ground changed (usual: at most 30 %)" in most
     for dz in (-46.2, 46.2):
-        (shift,) = verdict.of_change(0.1, dz, 1.0, [])
+        (shift,) = verdict.of_change(0.1, dz, 1.0)
         assert f"differ by {dz:+.1f} m as a whole" in shift
-    (level,) = verdict.of_change(0.1, 0.0, 4.5, [])
+    (level,) = verdict.of_change(0.1, 0.0, 4.5)
     assert "Only changes of more than 4.5 m" in level and "at most 3 m" in level
-    assert verdict.of_change(0.1, 0.0, 1.0, ["a", "b"]) == ["Warnings (listed below): 2."]
 
 
 def exported(method, most_px):
@@ -114,14 +113,14 @@ def test_a_mosaic_names_the_overlap_that_is_worst():
         verdict.Difference(2, 3, 2.0, 0.2),
         verdict.Difference(3, 4, 0.0, 0.2),
     ]
-    (finding,) = verdict.of_mosaic(apart, [])
+    (finding,) = verdict.of_mosaic(apart)
     assert "after the offsets: 2 of 3, at most 3.00 m (DSMs 1 and 2)" in finding
     other = [
         verdict.Difference(1, 2, 0.0, 12.0),
         verdict.Difference(2, 3, 0.0, 117.0),
         verdict.Difference(3, 4, 0.0, 10.0),
     ]
-    (finding,) = verdict.of_mosaic(other, [])
+    (finding,) = verdict.of_mosaic(other)
     assert "2 of 3; those of DSMs 2 and 3 differ by 117.0 m (NMAD; usual: at most 10 m)" in finding
 
 
@@ -212,8 +211,7 @@ def test_each_figure_of_a_run_beyond_its_bound_is_one_finding():
 
 def test_a_warning_that_two_stages_repeat_counts_once_in_every_verdict():
     scene = run_of(warnings=(("x", "y"), ("x",)), cameras={"a": camera(0.3, 0.3)})
-    said = ["Warnings of the stages (listed below): 2."]
-    assert verdict.of_run(scene) == verdict.of_refinement(scene) == verdict.of_fit(scene) == said
+    assert verdict.of_history(scene) == ["x", "y"]
 
 
 def test_cameras_before_and_after_refinement_are_judged_by_their_own_error():
@@ -235,9 +233,9 @@ def test_shares_are_named_in_per_cent_to_the_nearest():
         bounds = replace(VERDICT, least_used_share=share, most_changed_share=share)
         (finding,) = verdict.of_registration(registration(references=[reference("d.tif", 100, 20)]), bounds)
         assert f"at least {words}" in finding
-        (finding,) = verdict.of_change(share, 0.0, 1.0, [])
+        (finding,) = verdict.of_change(share, 0.0, 1.0)
         assert finding.startswith(f"{words} of the ground")
-        (finding,) = verdict.of_change(0.9, 0.0, 1.0, [], bounds)
+        (finding,) = verdict.of_change(0.9, 0.0, 1.0, bounds)
         assert f"at most {words}" in finding
 
 

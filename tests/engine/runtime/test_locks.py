@@ -54,7 +54,7 @@ def test_the_second_run_says_whom_it_waits_for_and_goes_on_after_it(holder, told
     with exclusive("dsmfuse", said, **{asked: [place]}):
         assert other.wait() == 0
     words = rf"is in use by process {other.pid} on \S+ \(pipeline, since \d\d:\d\d:\d\d on .*\): this run waits"
-    assert len(said.warnings) == 1 and re.search(words, said.warnings[0])
+    assert len(said.notes) == 1 and re.search(words, said.notes[0])
     assert os.listdir(tmp_path) == []
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from repm_qgis.contracts.data_folder import DATA_FOLDER
 from repm_qgis.contracts.errors import OptionError
+from repm_qgis.contracts.findings import Finding
 from repm_qgis.reports.report import Report
 from repm_qgis.runtime.packages import PACKAGES
 from repm_qgis.runtime.progress import JsonLines
@@ -108,7 +109,7 @@ def test_the_engines_lines_are_said_in_the_jobs_language(german):
     lines.translate = german.translate
     lines.step(0.5, "2 tiles of up to 5 px")
     lines.info("Done")
-    lines.warn("Done")
+    lines.warn(Finding("done", "Done"))
     texts = [json.loads(line)["text"] for line in stream.getvalue().splitlines()]
     assert texts == ["2 Kacheln, bis 5 px groß", "Fertig", "Fertig"]
 

@@ -30,7 +30,7 @@ def test_what_is_missing_is_warned_of_with_its_remedy(tmp_path, monkeypatch):
     monkeypatch.setattr(environment, "survey", lambda folder: found)
     heard, report = Recorder(Silent()), tmp_path / "r.html"
     result = run_stage("environment", {"report": str(report)}, heard)
-    assert heard.warnings == [
+    assert heard.findings == [
         "Not installed: pycolmap: tie points; laspy: points. To install what is missing, choose this.",
         "Not installed: scipy: more. To install what is missing, run 'that'.",
     ]
