@@ -16,8 +16,8 @@ _LESS = 3.0  # times smaller than the offset must what a cause leaves of it be
 
 
 def likely_cause(offset_m: float, height_m: float, lon: float, lat: float, within_m: float) -> str:
-    """What explains that ``offset_m`` must be added to given heights, of ``height_m`` in the middle, at a place (degrees),
-    for the end of a sentence; "" where nothing leaves less than ``within_m``, and a third, of it.
+    """What explains that ``offset_m`` must be added to given heights, of ``height_m`` in the middle, at a place
+    (degrees), for the end of a sentence; "" where nothing leaves less than ``within_m``, and a third, of it.
     """
     causes: List[Tuple[float, str]] = [
         ((FOOT_M - 1.0) * height_m, "if they are in feet and were read as metres"),

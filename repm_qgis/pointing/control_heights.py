@@ -1,7 +1,7 @@
 """Whether the heights of control points, as a whole, can be what their table says: above the ellipsoid and in metres.
 
-Points that are all wrong by the same amount agree with each other, and an adjustment follows them. The vendors' RPCs are
-an independent witness, as good as their promise; where they usually are better, a cause that fits is named already.
+Points that are all wrong by the same amount agree with each other, and an adjustment follows them. The vendors' RPCs
+are an independent witness, as good as their promise; where they usually are better, a cause that fits is named already.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def heights_off(
     figures: PointingFigures,
     parameters: PointingParameters = POINTING,
 ) -> Optional[Finding]:
-    """A sentence where control points lie elsewhere in height than the vendors' RPCs see them, as a whole; None where not.
+    """A finding where control points lie elsewhere in height than the vendors' RPCs see them, as a whole.
 
     ``pairs`` and ``figures`` say how well the RPCs agree, which shows how good their heights are.
     """

@@ -48,8 +48,8 @@ class Shift:
     surface stays as it was. Of the reference's heights: (N, 2) ``xy`` of those that see the surface, (N,) their
     differences (reference minus surface, m) ``before_m`` (NaN where the surface was not there) and ``after_m``, and
     their ``weight``; ``range_m`` is how far the differences are correlated. ``offsets`` are those of the surface's
-    parts. ``other_relief``: the surface does not have the reference's relief. ``precision`` of all heights of the reference
-    is what the difference of each counts for the height of the surface, 1 / m².
+    parts. ``other_relief``: the surface does not have the reference's relief. ``precision`` of all heights of the
+    reference is what the difference of each counts for the height of the surface, 1 / m².
     """
 
     ground: GroundShift

@@ -343,8 +343,8 @@ def _require_found(work: _Work, placed: Placed, numbers: RegistrationParameters)
         if not abs(left) <= most:
             raise EmptyResultError(
                 f"The heights of '{laid.reference.name}' give no reliable shift: after a move of "
-                f"{placed.ground.moved[2]:+.2f} m in height they still lie {left:+.2f} m from the surface, where at most "
-                f"{most:.2f} m are left of a sound one. Give a reference with more heights of this ground."
+                f"{placed.ground.moved[2]:+.2f} m in height they still lie {left:+.2f} m from the surface, where at "
+                f"most {most:.2f} m are left of a sound one. Give a reference with more heights of this ground."
             )
 
 
