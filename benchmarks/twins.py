@@ -52,7 +52,9 @@ def tried(name: str, count: int, seed: int = _SEED) -> Iterator[Tuple[Trial, str
 
 def after_the_dsm() -> List[str]:
     """All algorithms that take DSMs."""
-    rows, faults, start = [], Counter(), time.monotonic()
+    rows: List[List[object]] = []
+    faults: Dict[Tuple[str, str], int] = Counter()
+    start = time.monotonic()
     for name in TRIALS:
         counts: Dict[str, int] = Counter()
         for trial, kind, _ in tried(name, _QUICK if is_quick() else _EACH):
@@ -62,7 +64,7 @@ def after_the_dsm() -> List[str]:
         rows.append(
             [f"`repm:{name}`", sum(counts[kind] for kind in OUTCOMES), counts["sound"]] + [counts[k] for k in OUTCOMES]
         )
-    total = [sum(row[index] for row in rows) for index in range(1, len(rows[0]))]
+    total = [sum(int(str(row[index])) for row in rows) for index in range(1, len(rows[0]))]
     rows.append(["all", *total])
     say(f"{total[0]} trials in {time.monotonic() - start:.0f} s")
     kinds = sorted({what for what, _ in faults})
