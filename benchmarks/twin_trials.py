@@ -16,7 +16,19 @@ from typing import Callable, Dict, List, Optional, Tuple
 import numpy as np
 
 from benchmarks.runner import stage
-from benchmarks.twin_world import FEET, SIDE_M, Form, World, between, read, undulation, write, write_boxes, write_errors
+from benchmarks.twin_world import (
+    FEET,
+    FROM_ECEF,
+    SIDE_M,
+    Form,
+    World,
+    between,
+    read,
+    undulation,
+    write,
+    write_boxes,
+    write_errors,
+)
 from repm_qgis.contracts.findings import Finding
 from repm_qgis.contracts.stages import (
     BUILDINGS,
@@ -84,23 +96,28 @@ class Draw:
         form = replace(form, fill=-9999.0) if form.scaled and form.fill < -1e6 else form
         return replace(form, **fixed)  # type: ignore[arg-type]
 
-    def any_fault(self) -> Tuple[str, Fault]:
-        """A fault that any raster of heights may have."""
-        names = list(FAULTS)
-        name = names[self.rng.integers(len(names))]
-        return name, FAULTS[name]
+    def any_fault(self, alone: bool = False) -> Tuple[str, Fault]:
+        """A fault of a raster of heights; of one that is used alone, what it shows by itself."""
+        faults = VOIDS if alone else FAULTS
+        name = list(faults)[self.rng.integers(len(faults))]
+        return name, faults[name]
 
 
-FAULTS: Dict[str, Fault] = {
-    "datum that nothing states, 46.7 m away": lambda f: replace(f, datum="", added=f.added - _GEOID_GAP, unit="m"),
-    "feet that nothing states": lambda f: replace(f, unit="ft", states_unit=False, scaled=False),
+VOIDS: Dict[str, Fault] = {
     "void of -9999 that nothing declares": lambda f: _void(f, -9999.0),
     "void of 32767 that nothing declares": lambda f: _void(f, 32767.0),
     "void of -3.4e38 that nothing declares": lambda f: replace(_void(f, -3.4028234663852886e38), scaled=False),
     "void of 0 that nothing declares": lambda f: _void(f, 0.0),
+}
+"""What shows in a raster alone."""
+FAULTS: Dict[str, Fault] = {
+    **VOIDS,
+    "datum that nothing states, 46.7 m away": lambda f: replace(f, datum="", added=f.added - _GEOID_GAP, unit="m"),
+    "feet that nothing states": lambda f: replace(f, unit="ft", states_unit=False, scaled=False),
     "place 25 m beside": lambda f: replace(f, moved=(25.0, 0.0)),
     "CRS of the zone beside": lambda f: replace(f, crs_of_file=_beside(f.crs)),
 }
+"""What shows beside another raster only."""
 
 
 def _void(form: Form, fill: float) -> Form:
@@ -211,7 +228,6 @@ def series(draw: Draw) -> Trial:
             path = write(
                 draw.path(f"{k}.tif"), replace(world, changes=((*box, 2 * rate * source),)), dated, seed=source
             )
-            assert date.lon == world.lon
             paths.append(path)
         said = list(reversed(days)) if kind == "reversed" else list(days)
         if kind == "year":
@@ -298,7 +314,7 @@ def dtm(draw: Draw) -> Trial:
     kinds = ["", "", "raster", "steep"]
     kind, fault = kinds[rng.integers(len(kinds))], ""
     if kind == "raster":
-        fault, change_it = draw.any_fault()
+        fault, change_it = draw.any_fault(alone=True)
         form = change_it(form)
     elif kind == "steep":
         fault = "ground steeper than SLOPE"
@@ -338,7 +354,7 @@ def buildings(draw: Draw) -> Trial:
         report = draw.path("r.html")
         made = stage(BUILDINGS, heard, dsm=path, dtm=below, output=draw.path("b.gpkg"), report=report)
         area = sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1, _ in world.houses)
-        volume = sum((x1 - x0) * (y1 - y0) * height for x0, y0, x1, y1, height in world.houses)
+        volume = sum(map(world.built, world.houses))
         return _first(
             _apart(float(made.n_buildings), float(len(world.houses)), 0.0, "the number of buildings"),
             _apart(made.area_m2, area, 0.1 * area + 5, "their area, m2,"),
@@ -356,7 +372,7 @@ def editdsm(draw: Draw) -> Trial:
     kinds = ["", "", "raster", "value"]
     kind, fault = kinds[rng.integers(len(kinds))], ""
     if kind == "raster":
-        fault, change_it = draw.any_fault()
+        fault, change_it = draw.any_fault(alone=True)
         form = change_it(form)
     elif kind == "value":
         fault, value = "a height that cannot be", float([-9999.0, 32767.0, -3.4e38][rng.integers(3)])
@@ -425,7 +441,7 @@ def tiles3d(draw: Draw) -> Trial:
     kinds = ["", "", "raster", "picture"]
     kind, fault = kinds[rng.integers(len(kinds))], ""
     if kind == "raster":
-        fault, change_it = draw.any_fault()
+        fault, change_it = draw.any_fault(alone=True)
         form = change_it(form)
     elif kind == "picture":
         fault = "a picture of another place"
@@ -447,7 +463,7 @@ def _box_right(box: List[float], transform: Optional[List[float]], world: World)
     """What is wrong with the middle of a tileset's box, and with how high it is."""
     matrix = np.array(transform or np.eye(4).ravel().tolist()).reshape(4, 4).T
     middle = (matrix @ [*box[:3], 1.0])[:3]
-    lon, lat, height = between_ecef().transform(*middle)
+    lon, lat, height = FROM_ECEF.transform(*middle)
     x, y = between(world.crs, "EPSG:4326").transform(lon, lat, direction="INVERSE")
     grid = np.meshgrid(*[np.linspace(-SIDE_M / 2, SIDE_M / 2, 241)] * 2)
     surface = world.surface(*grid)
@@ -458,13 +474,6 @@ def _box_right(box: List[float], transform: Optional[List[float]], world: World)
         _apart(height, (low + high) / 2, 1.0, "the height of the box's middle, m,"),
         _apart(half, (high - low) / 2, 1.0, "half the height of the box, m,"),
     )
-
-
-def between_ecef() -> "pyproj.Transformer":  # type: ignore[name-defined]  # noqa: F821
-    """From geocentric coordinates to longitude, latitude and ellipsoidal height."""
-    import pyproj
-
-    return pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
 
 
 TRIALS: Dict[str, Callable[[Draw], Trial]] = {
