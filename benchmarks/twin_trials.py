@@ -45,6 +45,7 @@ from repm_qgis.runtime.progress import Silent
 
 _HALVES = (-SIDE_M / 2, -SIDE_M / 2, 0.0, SIDE_M / 2)
 _GEOID_GAP = 46.7
+_UNSEEN_M = 1.0
 Fault = Callable[[Form], Form]
 """What is wrong with a raster: its form with the fault."""
 
@@ -186,8 +187,8 @@ def change(draw: Draw) -> Trial:
         return _first(
             _apart(made.gained_m3, added, 3 * made.gained_deviation_m3 + 0.08 * added, "what was gained, m3,"),
             _apart(made.lost_m3, taken, 3 * made.lost_deviation_m3 + 0.08 * taken, "what was lost, m3,"),
-            _apart(made.dx, -moved[0], 0.2, "the shift to the east, m,"),
-            _apart(made.dy, -moved[1], 0.2, "the shift to the north, m,"),
+            _apart(made.dx, -two.moved[0], 0.2, "the shift to the east, m,"),
+            _apart(made.dy, -two.moved[1], 0.2, "the shift to the north, m,"),
         )
 
     return Trial(fault or "sound", not fault, run)
@@ -252,6 +253,9 @@ def mosaic(draw: Draw) -> Trial:
     if kind == "raster":
         fault, change_it = draw.any_fault()
         right = change_it(right)
+        if right.moved != left.moved and world.difference(right, left, (-20.0, 20.0))[1] < _UNSEEN_M:
+            # Over smooth ground a displacement changes heights by less than DSMs are wrong.
+            fault, right = "", replace(right, moved=left.moved)
     elif kind:
         fault = "a copy as a second DSM"
 
@@ -278,8 +282,7 @@ def _heights_right(path: str, world: World, above: float, most: float, heights: 
 def comparedsm(draw: Draw) -> Trial:
     """A DSM with a known bias against a reference."""
     world, rng = draw.world, draw.rng
-    bias = float(rng.uniform(-1.0, 1.0))
-    dsm, reference = draw.form(added=bias), draw.form()
+    dsm, reference = draw.form(added=float(rng.uniform(-0.4, 0.4))), draw.form()
     kinds = ["", "", "raster", "copy", "part"]
     kind, fault = kinds[rng.integers(len(kinds))], ""
     if kind == "raster":
@@ -299,9 +302,10 @@ def comparedsm(draw: Draw) -> Trial:
         if kind == "copy":
             other = write(draw.path("c.tif"), world, dsm, seed=1)
         made = stage(COMPAREDSM, heard, dsm=one, reference=other, report=draw.path("r.html"))
+        bias, spread = world.difference(dsm, reference)
         return _first(
             _apart(float(made.bias if made.bias is not None else np.nan), bias, 0.12, "the bias, m,"),
-            _apart(float(made.nmad if made.nmad is not None else np.nan), 0.12, 0.25, "the NMAD, m,"),
+            _apart(float(made.nmad if made.nmad is not None else np.nan), spread, 0.25, "the NMAD, m,"),
         )
 
     return Trial(fault or "sound", not fault, run)
@@ -322,7 +326,7 @@ def dtm(draw: Draw) -> Trial:
 
     def run(heard: Heard) -> str:
         path = write(draw.path("a.tif"), world, form, seed=1)
-        made = stage(DTM, heard, dsm=path, output=draw.path("t.tif"), report=draw.path("r.html"))
+        made = stage(DTM, heard, dsm=path, largest=40.0, output=draw.path("t.tif"), report=draw.path("r.html"))
         return _heights_right(str(made.output), world, 0.0, 0.3, "ground")
 
     return Trial(fault or "sound", not fault, run)
@@ -401,8 +405,7 @@ def editdsm(draw: Draw) -> Trial:
 def checkgcps(draw: Draw) -> Trial:
     """Points of known height on a DSM with a known bias."""
     world, rng = draw.world, draw.rng
-    bias = float(rng.uniform(-0.4, 0.4))
-    form = draw.form(added=bias, datum="ellipsoid", holes=0.0)
+    form = draw.form(added=float(rng.uniform(-0.4, 0.4)), datum="ellipsoid", holes=0.0)
     kinds = ["", "", "raster", "feet", "geoid", "turned"]
     kind, fault = kinds[rng.integers(len(kinds))], ""
     if kind == "raster":
@@ -415,6 +418,7 @@ def checkgcps(draw: Draw) -> Trial:
         path = write(draw.path("a.tif"), world, form, seed=1)
         x, y = rng.uniform(-45, 45, (2, 30))
         height = world.surface(x, y)
+        away = world.surface(x - form.moved[0], y - form.moved[1]) + form.added - height
         lon, lat = between(world.crs, "EPSG:4326").transform(x, y)
         if kind == "feet":
             height = height / FEET
@@ -429,7 +433,8 @@ def checkgcps(draw: Draw) -> Trial:
                 for k, (a, b, h) in enumerate(zip(lon, lat, height))
             )
         made = stage(CHECKGCPS, heard, gcps=draw.path("p.csv"), dsm=path, report=draw.path("r.html"))
-        return _apart(float(made.dsm_medae or np.nan), abs(bias), 0.2, "the median absolute error, m,")
+        expected = float(np.median(np.abs(away)))
+        return _apart(float(made.dsm_medae or np.nan), expected, 0.2, "the median absolute error, m,")
 
     return Trial(fault or "sound", not fault, run)
 

@@ -69,6 +69,14 @@ class World:
             heights = heights + added * ((x > xmin) & (x < xmax) & (y > ymin) & (y < ymax))
         return heights
 
+    def difference(self, one: Form, other: Form, between_x: Tuple[float, float] = (-55.0, 55.0)) -> Tuple[float, float]:
+        """The median and the NMAD of the differences of two rasters, m, by the formula."""
+        x, y = np.meshgrid(np.linspace(*between_x, 221), np.linspace(-55.0, 55.0, 221))
+        heights = [self.surface(x - each.moved[0], y - each.moved[1]) + each.added for each in (one, other)]
+        away = heights[0] - heights[1]
+        middle = float(np.median(away))
+        return middle, 1.4826 * float(np.median(np.abs(away - middle)))
+
     def built(self, box: Box) -> float:
         """The volume of a house from the lowest ground at its outline, m3."""
         x0, y0, x1, y1, _ = box

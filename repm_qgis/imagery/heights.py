@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Iterator, Optional, Tuple
+from typing import Iterator, NamedTuple, Optional, Tuple
 
 import numpy as np
 import pyproj
@@ -29,6 +29,7 @@ _UNDECLARED = (-9999.0, -32768.0, -32767.0)
 _OURS = "REPM_ENGINE"  # a tag of all our rasters, whose voids are declared
 _STRIP_CELLS = 1 << 22  # that are read at once
 _SAMPLE_CELLS = 4000  # a side, that the share of voids is taken from
+_CONSTANT_SHARE, _CONSTANT_GAP_M = 5e-4, 20.0  # of the heights, that are the same; and how far all others are
 _FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
 _UNITS = {
     **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
@@ -109,17 +110,43 @@ def void_share(dataset: gdal.Dataset, window: Optional[Window] = None, band: int
     return voids / max(whole.width * whole.height, 1)
 
 
-def stray_shares(dataset: gdal.Dataset, band: int = 1) -> Tuple[float, float]:
-    """The shares of a band's cells (0..1) with numbers that cannot be heights, and with those that mean "none" although
-    no nodata value declares them; of large rasters by evenly spread cells."""
+class StrayNumbers(NamedTuple):
+    """Shares of a band's cells (0..1) with numbers that cannot be heights (``impossible``), with those that mean "none"
+    although no nodata value declares them (``marked``), and with one height, ``constant_m``, that lies far from all
+    others: a void that could be a height (``constant``)."""
+
+    impossible: float = 0.0
+    marked: float = 0.0
+    constant: float = 0.0
+    constant_m: float = 0.0
+
+
+def stray_numbers(dataset: gdal.Dataset, band: int = 1) -> StrayNumbers:
+    """What a band has beside heights; of large rasters by evenly spread cells."""
     if dataset.GetMetadataItem(_OURS):
-        return 0.0, 0.0
+        return StrayNumbers()
     size = min(dataset.RasterXSize, _SAMPLE_CELLS), min(dataset.RasterYSize, _SAMPLE_CELLS)
     values = raster.read(dataset, None, band, size, nearest=True)
     stated = np.isfinite(values)
     marked = stated & np.isin(values, _UNDECLARED) & (dataset.GetRasterBand(band).GetNoDataValue() is None)
-    left = np.isfinite(_possible(_scaled(values, to_metres(dataset, band))))
-    return float((stated & ~marked & ~left).mean()), float(marked.mean())
+    heights = _possible(_scaled(values, to_metres(dataset, band)))
+    left = np.isfinite(heights)
+    share, constant_m = _constant(heights[left & ~marked])
+    impossible = float((stated & ~marked & ~left).mean())
+    return StrayNumbers(impossible, float(marked.mean()), share * float((left & ~marked).mean()), constant_m)
+
+
+def _constant(heights: FloatImage) -> Tuple[float, float]:
+    """The share of (N,) heights that are exactly the lowest or the highest, where many are and the next one is far; and
+    that height, m."""
+    for end in (np.min, np.max):
+        if heights.size:
+            value = end(heights)
+            others = heights[heights != value]
+            share = 1.0 - others.size / heights.size
+            if others.size and share > _CONSTANT_SHARE and abs(end(others) - value) > _CONSTANT_GAP_M:
+                return share, float(value)
+    return 0.0, 0.0
 
 
 def _strips(window: Window) -> Iterator[Window]:
