@@ -280,10 +280,20 @@ def of_comparison(metrics: HeightMetrics, cell_m: float = 0.0, bounds: VerdictPa
     return found
 
 
-def of_change(changed_share: float, dz: float, level_m: float, bounds: VerdictParameters = VERDICT) -> List[Finding]:
-    """The findings of the change between two dates: the changed share of what was compared, the vertical shift that
-    was removed and the median level of detection, m."""
-    found = []
+def of_change(
+    changed_share: float, shift: Tuple[float, float, float], level_m: float, bounds: VerdictParameters = VERDICT
+) -> List[Finding]:
+    """The findings of the change between two dates: the changed share of what was compared, the shift (east, north, up)
+    that was removed and the median level of detection, m."""
+    found, (dx, dy, dz) = [], shift
+    if math.hypot(dx, dy) > bounds.most_offset_m:
+        found.append(
+            Finding(
+                "dates-displaced",
+                f"The DSMs lie {math.hypot(dx, dy):.1f} m beside each other, which the alignment removed: check the "
+                "CRS and the place of both.",
+            )
+        )
     if changed_share > bounds.most_changed_share:
         found.append(
             Finding(
