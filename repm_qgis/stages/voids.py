@@ -28,8 +28,8 @@ def name_voids(options: Options, progress: Progress) -> None:
             progress.warn(
                 Finding(
                     "void-likely",
-                    f"{_percent(stray.constant)} of the cells of '{path}' have exactly {stray.constant_m:g} m, far from "
-                    "all others: declare that number as its nodata value (gdal_edit -a_nodata), if it is none.",
+                    f"{_percent(stray.constant)} of the cells of '{path}' have exactly {stray.constant_m:g} m, far "
+                    "from all others: declare that number as its nodata value (gdal_edit -a_nodata), if it is none.",
                     "doubt",
                 )
             )
@@ -37,8 +37,9 @@ def name_voids(options: Options, progress: Progress) -> None:
             progress.warn(
                 Finding(
                     "heights-impossible",
-                    f"{_percent(stray.impossible)} of the cells of '{path}' have numbers that cannot be heights (below "
-                    f"{LOWEST_M:g} or above {HIGHEST_M:g} m), and no nodata value declares them: they are left out.",
+                    f"{_percent(stray.impossible)} of the cells of '{path}' have numbers that cannot be heights "
+                    f"(below {LOWEST_M:g} or above {HIGHEST_M:g} m), and no nodata value declares them: they are "
+                    "left out.",
                 )
             )
         elif stray.marked:
