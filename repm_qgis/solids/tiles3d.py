@@ -19,9 +19,9 @@ from osgeo import gdal
 
 from ..contracts.arrays import ByteImage, FloatArray, FloatImage, IntArray, Window
 from ..contracts.documents import JsonObject
-from ..contracts.errors import EmptyResultError, OverlapError
-from ..contracts.findings import Finding
-from ..evaluation.grids import Grid, bounds_on, cell_sides, require_place
+from ..contracts.errors import EmptyResultError
+from ..evaluation.grids import Grid, cell_sides, require_place
+from ..gate.companions import picture_findings, share_under
 from ..geometry.frames import on_earth
 from ..geometry.vertical import TAG
 from ..imagery.heights import read_heights
@@ -36,7 +36,6 @@ from .tile_triangles import Kept, kept_of_tile, surface_of_tile
 from .tileset import Globe, box, require_tiles3d_place, write_tileset
 
 _LEVEL = 0.7071  # the light on level ground
-_COVERED = 0.98  # of a DSM's extent, which its orthophoto covers
 
 
 @dataclass(frozen=True)
@@ -76,45 +75,26 @@ def write_tiles3d(
     the ellipsoid, with a warning.
 
     Raises ImageError for a raster that cannot be read or lies nowhere, EmptyResultError for a DSM without heights,
-    OverlapError for an orthophoto of another place, MissingPackageError where PROJ lacks the grid of its geoid,
-    WorkspaceError where the folder has other files or cannot be written.
+    MissingPackageError where PROJ lacks the grid of its geoid, WorkspaceError where the folder has other files or
+    cannot be written.
     """
     progress = progress or Silent()
     require_tiles3d_place(folder)
     with ExitStack() as stack:
         dataset = stack.enter_context(opened(dsm))
         paint = stack.enter_context(opened_paint(ortho, parameters.painting)) if ortho else None
-        if paint is not None:
-            _require_cover(paint, dataset, progress)
         whole = stack.enter_context(whole_folder(folder))
         (whole / "tiles").mkdir()
         tree = _Tree(dataset, whole, paint, progress, parameters)
+        if ortho and paint is not None:
+            share = share_under(Grid.of(paint.dataset), tree.grid)
+            for finding in picture_findings(dsm, ortho, share):
+                progress.warn(finding)
         root = tree.tile(tree.depth, 0, 0)
         if root is None:
             raise EmptyResultError(f"The DSM '{dsm}' has no heights: there is nothing to write into '{folder}'.")
         write_tileset(whole, tree.globe.frame, root.entry, "REPLACE", float(np.linalg.norm(root.high - root.low)))
         return Tiles3dFacts(tree.tiles, tree.vertices, tree.triangles, root.error)
-
-
-def _require_cover(paint: Paint, dsm: gdal.Dataset, progress: Progress) -> None:
-    """Raise OverlapError for an orthophoto beside its DSM, and warn of one that covers a part: the colours of its rim
-    would be drawn over the rest."""
-    ortho, grid = Grid.of(paint.dataset), Grid.of(dsm)
-    outer, inner = (bounds_on(ortho, grid) if ortho.wkt and grid.wkt else ortho.bounds), grid.bounds
-    width, height = (min(outer[i + 2], inner[i + 2]) - max(outer[i], inner[i]) for i in (0, 1))
-    share = max(width, 0.0) * max(height, 0.0) / ((inner.xmax - inner.xmin) * (inner.ymax - inner.ymin))
-    if not share > 0.0:
-        raise OverlapError(
-            f"The orthophoto '{ortho.path}' does not lie over the DSM '{grid.path}': choose the one of the same place."
-        )
-    if share < _COVERED:
-        progress.warn(
-            Finding(
-                "ortho-covers-part",
-                f"The orthophoto '{ortho.path}' covers {100 * share:.0f} % of the DSM '{grid.path}': elsewhere the "
-                "colours of its rim are shown.",
-            )
-        )
 
 
 @dataclass
