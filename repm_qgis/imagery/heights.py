@@ -145,7 +145,8 @@ def _means(dataset: gdal.Dataset, window: Window, band: int, size: Size) -> Floa
     means: FloatImage = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan).astype(np.float32)
     if means.shape == size[::-1]:
         return means
-    return means[np.arange(size[1])[:, None] * rows // size[1], np.arange(size[0]) * columns // size[0]]
+    row, column = np.arange(size[1]) * rows // size[1], np.arange(size[0]) * columns // size[0]
+    return np.asarray(means[row[:, None], column])
 
 
 def read_values(
