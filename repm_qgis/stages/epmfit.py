@@ -21,8 +21,8 @@ from ..contracts.options import EpmFitOptions, Extent
 from ..contracts.results import EpmFitResult
 from ..files.vector import write_layer
 from ..geometry.equivalent_error import VirtualGrid, fit_pinhole, refine_pinhole, virtual_grid
-from ..geometry.footprints import bounds_of, box, footprint, seen_twice
-from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs_at, projected_from_geodetic, utm_crs
+from ..geometry.footprints import bounds_of, box
+from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs_at, utm_crs
 from ..geometry.ground_metric import metric_at
 from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
@@ -33,7 +33,7 @@ from ..imagery.parameters import SAMPLING
 from ..imagery.raster import raster_identity, require_content
 from ..names import scene_title
 from ..planning.altitude_range import altitude_range
-from ..planning.overlap import views_of
+from ..planning.overlap import common_ground, views_of
 from ..planning.plane_heights import with_planes
 from ..reports.stage_reports import fit_report
 from ..rpc.readers import rpc_sidecars
@@ -250,9 +250,7 @@ def _area(
     views: Sequence[View], crs: str, altitudes: Altitudes, options: EpmFitOptions, parameters: TileParameters
 ) -> ogr.Geometry:
     """The ground that two views see at some altitude of the range, within the requested extent."""
-    levels = np.linspace(*altitudes, parameters.area_altitudes)
-    outlines = [[projected_from_geodetic(crs, footprint(v.localise, v.size, z)) for v in views] for z in levels]
-    area = seen_twice(outlines)
+    area = common_ground(views, crs, altitudes)
     least = (parameters.least_overlap_px * min(v.gsd_m for v in views)) ** 2
     if area.IsEmpty() or area.GetArea() < least:
         range_ = f"{altitudes[0]:.0f} to {altitudes[1]:.0f} m above the ellipsoid"
