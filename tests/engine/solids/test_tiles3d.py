@@ -277,9 +277,11 @@ def test_an_orthophoto_of_another_place_is_refused_and_a_part_is_named(tmp_path,
         raster = None
         said, options = told(), {"dsm": dsm, "ortho": ortho, "tiles3d": str(tmp_path / name)}
         if raised:
-            with pytest.raises(OverlapError, match="'.*beside.tif' and '.*dsm.tif' do not overlap"):
+            with pytest.raises(
+                OverlapError, match="The orthophoto '.*beside.tif' does not lie over the DSM '.*dsm.tif'"
+            ):
                 run_stage("tiles3d", options, said)
             assert not (tmp_path / name).exists()
         else:
             run_stage("tiles3d", options, said)
-            assert any("half.tif' shows 50.0 % of the heights" in text for text in said.warnings)
+            assert any("shows 50.0 % of the heights" in text for text in said.warnings)
