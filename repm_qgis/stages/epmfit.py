@@ -115,7 +115,8 @@ def _without_collars(views: Sequence[View], folder: Path, progress: Progress) ->
     found = []
     for view in views:
         progress.step(0.0, f"black ends of {view.name}")
-        target, fills = str(folder / f"{view.name}.tif"), []
+        target = str(folder / f"{view.name}.tif")
+        fills: List[float] = []
         share = write_collar_mask(
             view.image,
             view.band,
