@@ -47,7 +47,8 @@ class Heights:
 class Building:
     """A building: its number from 1, its footprint in the DSM's CRS as WKB and that one's area, m2; its heights, the
     kind of its roof, its planes (x, y from ``origin``), and its solids: ``block`` (LoD 1) with one height, and
-    ``roofed`` (LoD 2), empty where one height is as good, or the planes give no valid solid."""
+    ``roofed`` (LoD 2), empty where one height is as good, or the planes give no valid solid. ``scale_m2`` is how many
+    square metres on the ground a square metre of the CRS has; area and volume are those on the ground."""
 
     number: int
     outline: bytes
@@ -58,6 +59,7 @@ class Building:
     origin: Tuple[float, float]
     block: List[Face] = field(default_factory=list)
     roofed: List[Face] = field(default_factory=list)
+    scale_m2: float = 1.0
 
     @property
     def lod(self) -> int:
@@ -66,7 +68,7 @@ class Building:
     @property
     def volume(self) -> float:
         """m3, of the finer solid."""
-        return volume(self.roofed or self.block)
+        return volume(self.roofed or self.block) * self.scale_m2
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ def building_of(
     return Building(
         number=number,
         outline=bytes(footprint.ExportToWkb()),
-        area=float(footprint.GetArea()),
+        area=float(footprint.GetArea()) * rasters.scale_m2,
         heights=Heights(
             ground=ground,
             eave=float(eave),
@@ -126,6 +128,7 @@ def building_of(
         origin=patch.frame.origin,
         block=block,
         roofed=roofed,
+        scale_m2=rasters.scale_m2,
     )
 
 

@@ -13,7 +13,7 @@ from osgeo import ogr
 from ..contracts.arrays import FloatImage, Mask, Window
 from ..contracts.errors import OverlapError
 from ..contracts.findings import Finding, distinct
-from ..evaluation.grids import Grid, HeightWarper, overlap
+from ..evaluation.grids import Grid, HeightWarper, metric_of, overlap
 from ..imagery import raster
 from ..imagery.bands import vegetation_bands
 from ..imagery.confidence import Provenance
@@ -53,6 +53,7 @@ class Rasters:
         self.surface = surface
         self._dsm = stack.enter_context(raster.opened(surface.path))
         self.grid = Grid.of(self._dsm)
+        self.scale_m2 = metric_of(self.grid).area_per_unit
         ground = stack.enter_context(raster.opened(terrain))
         overlap(Grid.of(ground), self.grid)
         self._ground = HeightWarper(ground, self.grid)

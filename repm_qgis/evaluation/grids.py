@@ -17,6 +17,7 @@ from ..contracts.checks import as_text
 from ..contracts.errors import ImageError, OverlapError
 from ..contracts.findings import Finding
 from ..geometry.frames import flat_crs, install_grid, on_earth, vertical_operations, vertical_part
+from ..geometry.ground_metric import GroundMetric
 from ..geometry.interpolation import upsample_grid
 from ..geometry.vertical import ELLIPSOID, TAG
 from ..geometry.vertical import metres_per_unit as unit_of_heights
@@ -128,28 +129,23 @@ def _between(source: CRS, target: CRS) -> Transformer:
     return Transformer.from_crs(source, target, always_xy=True)
 
 
+def metric_of(grid: Grid) -> GroundMetric:
+    """The true scale of a grid's CRS at its middle."""
+    xmin, ymin, xmax, ymax = grid.bounds
+    return GroundMetric.at(grid.crs, (xmin + xmax) / 2, (ymin + ymax) / 2)
+
+
 def metres_per_unit(grid: Grid) -> Tuple[float, float]:
-    """How many metres one unit of the grid's x and y has, for degrees at the grid's middle; (1, 1) without a CRS."""
-    if not grid.wkt:
-        return 1.0, 1.0
-    crs = grid.crs
-    horizontal = crs.sub_crs_list[0] if crs.is_compound else crs
-    factor = horizontal.axis_info[0].unit_conversion_factor if horizontal.axis_info else 1.0
-    ellipsoid = horizontal.ellipsoid
-    if ellipsoid is None or not horizontal.is_geographic:
-        return factor or 1.0, factor or 1.0
-    latitude = (grid.bounds[1] + grid.bounds[3]) / 2 * factor
-    a, b = ellipsoid.semi_major_metre, ellipsoid.semi_minor_metre
-    e2 = 1 - (b / a) ** 2
-    w = math.sqrt(1 - e2 * math.sin(latitude) ** 2)
-    return factor * a * math.cos(latitude) / w, factor * a * (1 - e2) / w**3
+    """How many metres on the ground one unit of x and of y has at the grid's middle; (1, 1) without a CRS."""
+    return metric_of(grid).per_unit if grid.wkt else (1.0, 1.0)
 
 
 def cell_sides(grid: Grid) -> Tuple[float, float]:
-    """The sides of a cell along its row and its column, m, however the grid is turned; positive."""
-    per_unit = metres_per_unit(grid)
+    """The sides of a cell along its row and its column, m on the ground, however the grid is turned; positive."""
     _, b, c, _, e, f = grid.transform
-    return math.hypot(b * per_unit[0], e * per_unit[1]), math.hypot(c * per_unit[0], f * per_unit[1])
+    steps = np.array([[b, c], [e, f]])
+    along, down = np.linalg.norm(metric_of(grid).jacobian @ steps if grid.wkt else steps, axis=0)
+    return float(along), float(down)
 
 
 def require_place(grid: Grid) -> None:
@@ -159,7 +155,7 @@ def require_place(grid: Grid) -> None:
 
 
 def cell_metres(grid: Grid) -> Tuple[float, float]:
-    """Width and height of a cell in metres; the height is positive where row 0 is in the north.
+    """Width and height of a cell in metres on the ground; the height is positive where row 0 is in the north.
 
     Raises ImageError for a raster without a place on the ground, or with a rotated grid.
     """
@@ -243,7 +239,7 @@ class HeightWarper:
 
     def read(self, cells: Grid, alignment: Alignment = _NO_ALIGNMENT) -> FloatImage:
         """The aligned DSM on ``cells``, which are a part of the target grid: (rows, columns), NaN = no height."""
-        cells = _before(cells, alignment)
+        cells = self._before(cells, alignment)
         window = self._source_window(cells)
         heights = self._values(self.dataset, window, self._band) if window is not None else np.empty(0, np.float32)
         good = np.isfinite(heights)
@@ -285,7 +281,7 @@ class HeightWarper:
 
         Bilinear; a point beside a hole has none. The warper would blur a slanting row, as if it were a reduced picture.
         """
-        cells, columns = _before(cells, alignment), cells.size[0]
+        cells, columns = self._before(cells, alignment), cells.size[0]
         window = self._source_window(cells)
         if window is None:
             return np.full(columns, np.nan, np.float32)
@@ -296,6 +292,16 @@ class HeightWarper:
             scale, offset = self._vertical_at(self.vertical, cells, float(np.nanmean(heights)))
             heights = (heights * scale + offset[0]).astype(np.float32)
         return heights + np.float32(alignment.dz)
+
+    def _before(self, cells: Grid, alignment: Alignment) -> Grid:
+        """A surface that moves by (dx, dy) is, at a cell, what it was at the cell minus (dx, dy).
+
+        The scale is that of the target's middle, so that all its parts move alike.
+        """
+        if not alignment.dx and not alignment.dy:
+            return cells
+        per_unit = metres_per_unit(self._target)
+        return cells.shifted(-alignment.dx / per_unit[0], -alignment.dy / per_unit[1])
 
     def _source_window(self, cells: Grid) -> Optional[Window]:
         columns, rows = cells.size
@@ -378,14 +384,6 @@ class HeightWarper:
             task = f"'{self._source.path}' cannot be transformed to the vertical datum of '{self._target.path}'"
             raise ImageError(f"Heights of {task} everywhere: a PROJ grid does not cover the place.")
         return float(np.mean(scale)), upsample_grid((low - scale * height).reshape(9, 9), (rows, columns))
-
-
-def _before(cells: Grid, alignment: Alignment) -> Grid:
-    """A surface that moves by (dx, dy) is, at a cell, what it was at the cell minus (dx, dy)."""
-    if not alignment.dx and not alignment.dy:
-        return cells
-    per_unit = metres_per_unit(cells)
-    return cells.shifted(-alignment.dx / per_unit[0], -alignment.dy / per_unit[1])
 
 
 def _in_memory(driver: gdal.Driver, grid: Grid, bands: int, crs: CRS) -> gdal.Dataset:

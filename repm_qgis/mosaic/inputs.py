@@ -16,9 +16,10 @@ from ..contracts.checks import as_text
 from ..contracts.errors import ImageError, OptionError
 from ..contracts.findings import Finding
 from ..contracts.options import MosaicOptions
-from ..evaluation.grids import Grid, cell_sides, metres_per_unit, require_place
+from ..evaluation.grids import Grid, cell_sides, metric_of, require_place
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import flat_crs, on_earth, projected_crs_at, utm_crs, vertical_part
+from ..geometry.ground_metric import MOST_DISTORTION, GroundMetric
 from ..geometry.tiles import enclosing
 from ..geometry.vertical import DEVIATION_TAG, ELLIPSOID, TAG, HeightDatum
 from ..imagery.confidence import confidence_bands
@@ -91,7 +92,11 @@ def layout_of(options: MosaicOptions, surfaces: Sequence[Surface], progress: Pro
             found.append(looked_at(dataset, surface.name))
     datum = _common_datum([surface.name for surface in surfaces], found, progress)
     crs, cell, corner = _frame(options, found[0].grid)
-    ratio = max(_ratio(each.grid, cell) for each in found)  # by the finest of all
+    metric = _metric(found[0].grid, crs)
+    for finding in metric.finding(f"the mosaic, {crs.name}"):
+        progress.warn(finding)
+    side = cell * min(metric.per_unit)
+    ratio = max(_ratio(each.grid, side) for each in found)  # by the finest of all
     if ratio < MOSAIC.finest_cell:
         finest = f"{1.001 * MOSAIC.finest_cell * cell / ratio:.3g} m, a quarter of the finest DSM's cells"
         raise OptionError("RESOLUTION", options.resolution, f"must be at least {finest}: finer cells add no detail")
@@ -105,7 +110,7 @@ def layout_of(options: MosaicOptions, surfaces: Sequence[Surface], progress: Pro
             **vars(surface),
             band=_error_band(surface.confidence) if surface.confidence else 0,
             window=grid.window(box),
-            ratio=_ratio(each.grid, cell),
+            ratio=_ratio(each.grid, side),
             deviation=each.deviation,
         )
         for surface, each, box in zip(surfaces, found, boxes)
@@ -177,11 +182,23 @@ def _frame(options: MosaicOptions, first: Grid) -> Tuple[pyproj.CRS, float, Tupl
     else:
         such = f"such as {utm_crs(*middle)}"
         raise ImageError(f"'{first.path}' is in {own.name}, whose unit is not the metre: give a projected CRS, {such}.")
-    cell = float(f"{math.sqrt(abs(width * height - turn * tilt)) * metres_per_unit(first)[0]:.6g}")
+    cell = math.sqrt(abs(width * height - turn * tilt))
+    here, there = metric_of(first), _metric(first, crs)
+    if here.unit_m is not None and max(here.distortion, there.distortion) <= MOST_DISTORTION:
+        cell *= here.unit_m
+    elif crs != own:  # as large on the ground
+        cell *= math.sqrt(here.area_per_unit / there.area_per_unit)
+    cell = float(f"{cell:.6g}")
     same = crs == own and not turn and not tilt and width == -height
     if same and options.resolution in (0.0, width):
         return crs, width, (first.transform[0], first.transform[3])
     return crs, options.resolution or cell, (0.0, 0.0)
+
+
+def _metric(first: Grid, crs: pyproj.CRS) -> GroundMetric:
+    """The scale of the mosaic's CRS in the middle of the first DSM."""
+    to_crs = pyproj.Transformer.from_crs(flat_crs(first.crs), crs, always_xy=True)
+    return GroundMetric.at(crs, *to_crs.transform(*_middle(first)))
 
 
 def _middle(grid: Grid) -> Tuple[float, float]:
@@ -200,8 +217,9 @@ def _bounds_in(grid: Grid, crs: pyproj.CRS) -> Bounds:
     return bounds
 
 
-def _ratio(grid: Grid, cell: float) -> float:
-    return cell / min(cell_sides(grid))
+def _ratio(grid: Grid, side: float) -> float:
+    """How many of a DSM's cells one of this side (m) is wide."""
+    return side / min(cell_sides(grid))
 
 
 def _error_band(path: str) -> int:

@@ -21,6 +21,7 @@ from ..contracts.arrays import ByteImage, FloatArray, FloatImage, IntArray, Wind
 from ..contracts.documents import JsonObject
 from ..contracts.errors import EmptyResultError
 from ..evaluation.grids import Grid, cell_sides, require_place
+from ..gate.companions import picture_findings, share_under
 from ..geometry.frames import on_earth
 from ..geometry.vertical import TAG
 from ..imagery.heights import read_heights
@@ -85,6 +86,10 @@ def write_tiles3d(
         whole = stack.enter_context(whole_folder(folder))
         (whole / "tiles").mkdir()
         tree = _Tree(dataset, whole, paint, progress, parameters)
+        if ortho and paint is not None:
+            share = share_under(Grid.of(paint.dataset), tree.grid)
+            for finding in picture_findings(dsm, ortho, share):
+                progress.warn(finding)
         root = tree.tile(tree.depth, 0, 0)
         if root is None:
             raise EmptyResultError(f"The DSM '{dsm}' has no heights: there is nothing to write into '{folder}'.")

@@ -29,6 +29,7 @@ from ..fusion.visible import nadir_first
 from ..geometry.finer_cells import FinerCells, finer_cell
 from ..geometry.frames import projected_crs_at
 from ..geometry.gridding import widening
+from ..geometry.ground_metric import metric_at
 from ..geometry.vertical import HeightDatum
 from ..imagery.raster import content_of
 from ..names import scene_title
@@ -140,6 +141,8 @@ def _laid_out(scene: Scene, options: DsmFuseOptions, progress: Progress, paramet
         scene.require_images()
     crs = options.crs or scene.crs
     projected_crs_at(crs, scene.frame.lon, scene.frame.lat)
+    for finding in metric_at(crs, scene.frame.lon, scene.frame.lat).finding(crs):
+        progress.warn(finding)
     datum = HeightDatum.of(options.vertical_datum)
     datum.require(scene.frame.lon, scene.frame.lat)
     if options.ept:

@@ -61,6 +61,7 @@ def run(options: DtmOptions, progress: Progress, parameters: EngineParameters = 
             surface = surface_of(dsm, confidence)
         else:
             share, surface = 0.0, surface_of(str(options.dsm), options.confidence)
+        progress.warn_all(surface.findings)
         result = _make(options, surface, folder, progress, share, parameters)
     return replace(result, seconds=round(time.monotonic() - start, 3))
 

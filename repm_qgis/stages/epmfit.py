@@ -23,6 +23,7 @@ from ..files.vector import write_layer
 from ..geometry.equivalent_error import VirtualGrid, fit_pinhole, refine_pinhole, virtual_grid
 from ..geometry.footprints import bounds_of, box
 from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs_at, utm_crs
+from ..geometry.ground_metric import metric_at
 from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
 from ..imagery.acquisition import time_sidecars
@@ -133,6 +134,8 @@ def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, prog
     _log_views(views, progress)
     views = _coarser_first(views)
     crs = _crs(options, views)
+    for finding in metric_at(crs, *middle_of(views)).finding(crs):
+        progress.warn(finding)
     search = common_heights(views)
     area = _area(views, crs, search, options, parameters.tiles)
     views, search = with_planes(

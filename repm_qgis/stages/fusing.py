@@ -24,6 +24,7 @@ from ..fusion.tile_fusion import FuseTask, StoredTile, fuse_to_disk
 from ..fusion.walls import has_walls
 from ..fusion.water import DARK, Water, find_water
 from ..fusion.water_index import WaterIndex
+from ..geometry.ground_metric import metric_at
 from ..registration.dem_offset import dem_offset, stated_height_deviation
 from ..registration.laying import prior_of
 from ..reports.styles import write_style
@@ -103,7 +104,9 @@ def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredT
         water = run_whole(_water, (fusion, joined, blocks), progress, "looking for water")
     facts: FusionFacts = run_whole(_written, (fusion, joined, blocks, water), progress, "writing the products")
     bodies = water.bodies if water else ()
-    area, evidence = sum(body.area for body in bodies), water.evidence if water else ""
+    crs, frame = fusion.layout.crs, fusion.scene.frame
+    area = sum(body.area for body in bodies) * metric_at(crs, frame.lon, frame.lat).area_per_unit
+    evidence = water.evidence if water else ""
     return replace(facts, needles=gone, water=len(bodies), water_m2=area, water_evidence=evidence), stored
 
 

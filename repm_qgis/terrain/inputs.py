@@ -11,8 +11,11 @@ import pyproj
 from .. import __version__
 from ..contracts.arrays import Size
 from ..contracts.errors import ImageError
-from ..evaluation.grids import Grid, cell_sides
+from ..contracts.findings import Finding
+from ..evaluation.grids import Grid, cell_sides, metric_of
+from ..gate.companions import confidence_findings
 from ..geometry.frames import flat_crs, on_earth, utm_crs
+from ..geometry.ground_metric import MOST_DISTORTION
 from ..geometry.vertical import TAG, HeightDatum
 from ..imagery.confidence import confidence_bands
 from ..imagery.raster import opened
@@ -28,7 +31,7 @@ _LEAST_ERROR_M = 0.05
 class Surface:
     """A DSM: its file, cells, frame and datum; ``cell`` is the side of a cell in m. ``confidence`` is the raster of its
     expected errors, "" for none, with the bands of the error and of the source of each height (0: it has none), and
-    the ``usual_error``, m; 0 where it is not known."""
+    the ``usual_error``, m; 0 where it is not known. ``findings``: what is to be known of the two together."""
 
     path: str
     size: Size
@@ -40,6 +43,7 @@ class Surface:
     error_band: int = 0
     source_band: int = 0
     usual_error: float = 0.0
+    findings: Tuple[Finding, ...] = ()
 
     @property
     def tags(self) -> Dict[str, str]:
@@ -56,23 +60,20 @@ def surface_of(path: str, confidence: Optional[str]) -> Surface:
     surface = Surface(path, grid.size, grid.transform, crs, found.datum, cell)
     if not confidence:
         return surface
+    findings = tuple(confidence_findings(path, confidence, "CONFIDENCE", whole=True))
     with opened(confidence) as dataset:
-        other = Grid.of(dataset)
         bands = confidence_bands(dataset, "CONFIDENCE")
-    if other.size != grid.size or not np.allclose(other.transform, grid.transform, rtol=0, atol=1e-3 * cell):
-        raise ImageError(
-            f"The confidence raster '{confidence}' does not have the cells of the DSM '{path}': give the one that was "
-            "written with this DSM, or leave CONFIDENCE empty."
-        )
     errors = preview(confidence, _SAMPLE_PX, bands.error)[0]
     errors = errors[np.isfinite(errors)]
     usual = max(float(np.median(errors)), _LEAST_ERROR_M) if errors.size else 0.0
     known = confidence if usual else ""
-    return Surface(path, grid.size, grid.transform, crs, found.datum, cell, known, bands.error, bands.source, usual)
+    named = known, bands.error, bands.source, usual, findings
+    return Surface(path, grid.size, grid.transform, crs, found.datum, cell, *named)
 
 
 def _cell(grid: Grid) -> float:
-    """The side of a cell, m; raises ImageError for cells that are not squares in metres."""
+    """The side of a cell, m on the ground, where the CRS is not true to scale, and in its own metres elsewhere; raises
+    ImageError for cells that are not squares in metres."""
     crs = flat_crs(grid.crs)
     sides = cell_sides(grid)
     if crs.is_geographic or abs(sides[0] - sides[1]) > _SQUARE * max(sides):
@@ -81,6 +82,9 @@ def _cell(grid: Grid) -> float:
             f"The DSM '{grid.path}' in {crs.name} has no square cells in metres: reproject it first, such as to "
             f"{utm_crs(longitude, latitude)} (Raster > Projections > Warp)."
         )
+    metric = metric_of(grid)
+    if metric.distortion <= MOST_DISTORTION:  # cells of 0.5 m stay such: the method's sizes are in whole cells
+        sides = (sides[0] / metric.per_unit[0], sides[1] / metric.per_unit[1])
     return float(f"{sum(sides) / 2:.9g}")
 
 

@@ -189,9 +189,9 @@ def validated(program, city, folder):
 
 
 def test_a_compound_reference_system_has_its_own_code(tmp_path):
-    base = ground()
-    dsm = written(tmp_path / "dsm.tif", [built(base, HOUSES[:1])], crs="EPSG:7415", metadata={})
-    dtm = written(tmp_path / "dtm.tif", [base], crs="EPSG:7415", metadata={})
+    base, place = ground(), (155000.0, CELL, 0.0, 463000.0, 0.0, -CELL)  # in the Netherlands
+    dsm = written(tmp_path / "dsm.tif", [built(base, HOUSES[:1])], place, crs="EPSG:7415", metadata={})
+    dtm = written(tmp_path / "dtm.tif", [base], place, crs="EPSG:7415", metadata={})
     city = str(tmp_path / "b.json")
     run_stage("buildings", {"dsm": dsm, "dtm": dtm, "output": str(tmp_path / "b.gpkg"), "cityjson": city}, Silent())
     assert checked(city)[0]["metadata"]["referenceSystem"].endswith("/EPSG/0/7415")

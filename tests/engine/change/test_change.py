@@ -78,6 +78,18 @@ def dates(tmp_path):
     return write(tmp_path / "before.tif", [before]), write(tmp_path / "after.tif", [after])
 
 
+def test_shifts_areas_and_volumes_are_true_where_the_crs_doubles_lengths(tmp_path, told):
+    """Web Mercator at 60 degrees north: volumes were four times too large, and the shift was doubled."""
+    before, after = ground() + noise(1, 0.05), ground(0.8, -0.55) + 1.7 + noise(2, 0.05)
+    after[BUILT] += 3.0
+    after[DUG] -= 2.0
+    place = {"place": (1e6, 8399738.0), "crs": "EPSG:3857", "cell": 2 * CELL}
+    paths = [write(tmp_path / f"{name}.tif", [each], **place) for name, each in (("a", before), ("b", after))]
+    found = change(*paths, tmp_path, told)
+    assert (found.dx, found.dy, found.dz) == pytest.approx((-0.8, 0.55, -1.7), abs=0.06)
+    assert found.gained_m3 == pytest.approx(1200, rel=0.08) and found.lost_m3 == pytest.approx(1000, rel=0.08)
+
+
 @pytest.fixture
 def witnessed(tmp_path):
     """Confidences of both dates: three height maps agree everywhere."""
@@ -104,13 +116,15 @@ def test_a_heap_and_a_pit_are_found_with_their_volumes(dates, witnessed, tmp_pat
         assert each["change"] == kind and each["area_m2"] == pytest.approx(area, rel=0.1)
         assert each["volume_m3"] == pytest.approx(volume, rel=0.07)
         assert abs(each["volume_m3"] - volume) < 2 * each["deviation_m3"] < 0.3 * abs(volume)
-        assert each["shape"].IsValid() and each["shape"].GetArea() == pytest.approx(each["area_m2"], rel=1e-6)
+        assert each["shape"].IsValid() and each["shape"].GetArea() / 0.9996**2 == pytest.approx(
+            each["area_m2"], rel=1e-6
+        )
     assert found.gained_m3 == pytest.approx(heap["volume_m3"]) and found.changes == 2
     assert found.lost_m3 == pytest.approx(-pit["volume_m3"])
     significant = gdal.Open(str(tmp_path / "s.tif"))
     values, level = (significant.GetRasterBand(band).ReadAsArray() for band in (1, 2))
     shown = np.where(values == -9999, 0, values)
-    assert shown.sum() * CELL**2 == pytest.approx(heap["volume_m3"] + pit["volume_m3"], rel=1e-4)
+    assert shown.sum() * CELL**2 / 0.9996**2 == pytest.approx(heap["volume_m3"] + pit["volume_m3"], rel=1e-4)
     flat = level[120:150, 120:150]
     assert 0.3 < np.median(flat) < 0.7  # 1.96 times the noise of both
     assert level.max() > 5 * np.median(flat)  # beside walls
@@ -215,9 +229,16 @@ def test_other_cells_and_another_crs(dates, witnessed, tmp_path, told):
     far = gdal.Warp(
         str(tmp_path / "far.tif"), dates[1], dstSRS="EPSG:32632", xRes=1, yRes=1, resampleAlg="average", dstNodata=-9999
     )
+    far = gdal.Warp(
+        str(tmp_path / "far_confidence.tif"), witnessed["after_confidence"], dstSRS="EPSG:32632", xRes=1, yRes=1
+    )
     far = None  # noqa: F841
-    for before, after, sign in ((dates[0], tmp_path / "far.tif", 1), (tmp_path / "far.tif", dates[0], -1)):
-        found = change(str(before), str(after), tmp_path, told, **witnessed)
+    dated = (
+        (dates[0], witnessed["before_confidence"]),
+        (str(tmp_path / "far.tif"), str(tmp_path / "far_confidence.tif")),
+    )
+    for (before, own), (after, others), sign in ((*dated, 1), (*dated[::-1], -1)):
+        found = change(before, after, tmp_path, told, before_confidence=own, after_confidence=others)
         gained, lost = (found.gained_m3, found.lost_m3)[::sign]
         assert found.changes == 2 and (gained, lost) == pytest.approx((1200, 1000), rel=0.1)
         assert gdal.Open(str(tmp_path / "d.tif")).GetGeoTransform()[1] == 1

@@ -56,7 +56,7 @@ def score(shared_data, dsm, reference):
 )
 def test_distances_along_the_normal_of_a_tilted_plane(make_raster, tmp_path, moved, height, distance):
     """A plane that rises by 3 m on 4 m: its normal is (-0.6, 0, 0.8)."""
-    east = np.tile(0.5 * (np.arange(60) + 0.5), (50, 1))  # cells of 0.5 m
+    east = np.tile(0.5 / 0.9996 * (np.arange(60) + 0.5), (50, 1))  # cells of 0.5 m on UTM's central meridian
     reference, dsm = 0.75 * east, 0.75 * (east - moved[0]) + moved[2]
     reference[20:24, 30:36] = np.nan  # its border has no slope
     page = tmp_path / "r.html"
@@ -342,7 +342,7 @@ def test_cancel_leaves_nothing(make_raster, tmp_path, terrain):
         def check_cancelled(self):
             raise Cancelled
 
-    a, b = make_raster("dsm.tif", terrain(50, 50)), make_raster("reference.tif", terrain(50, 50))
+    a, b = make_raster("dsm.tif", terrain(50, 50) + 0.1), make_raster("reference.tif", terrain(50, 50))
     with pytest.raises(Cancelled):
         compare(a, b, Stop(), error=str(tmp_path / "e.tif"), report=str(tmp_path / "r.html"))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["dsm.tif", "reference.tif"]
@@ -405,7 +405,7 @@ def test_classes_have_their_names_and_are_few(make_raster, terrain, tmp_path):
     dataset = gdal.Open(path, gdal.GA_Update)
     dataset.GetRasterBand(1).SetCategoryNames(["", "roofs", "ground"])
     dataset = None  # noqa: F841
-    a, b = make_raster("dsm.tif", terrain(100, 100)), make_raster("reference.tif", terrain(100, 100))
+    a, b = make_raster("dsm.tif", terrain(100, 100) + 0.1), make_raster("reference.tif", terrain(100, 100))
     got = compare(a, b, classes=path, report=str(tmp_path / "r.html"))
     assert list(got.by_class) == ["roofs", "ground"] and got.by_class["roofs"].cells == 5000
     assert "roofs" in (tmp_path / "r.html").read_text(encoding="utf-8")
@@ -473,7 +473,7 @@ def test_profiles_follow_lines_of_another_crs(make_raster, terrain, surface, tmp
 def test_what_is_no_line_layer_is_named(make_raster, terrain, tmp_path):
     from repm_qgis.contracts.errors import InputTableError
 
-    a, b = make_raster("dsm.tif", terrain(60, 60)), make_raster("reference.tif", terrain(60, 60))
+    a, b = make_raster("dsm.tif", terrain(60, 60) + 0.1), make_raster("reference.tif", terrain(60, 60))
     with pytest.raises(InputTableError, match="none.gpkg"):
         compare(a, b, profiles=str(tmp_path / "none.gpkg"))
     (tmp_path / "empty.geojson").write_text('{"type":"FeatureCollection","features":[]}')

@@ -125,3 +125,12 @@ def test_it_takes_milliseconds(job):
     start = time.process_time()  # its own: other processes may have the processor for longer
     require_sensible(options)
     assert time.process_time() - start < 0.5
+
+
+def test_a_crs_that_distorts_is_named_where_it_is_chosen(urban, told, tmp_path):
+    said = told()
+    options = {"images": urban.images, "workspace": str(tmp_path), "altitude_min": 150.0, "altitude_max": 260.0}
+    made = run_stage("epmfit", {**options, "crs": "EPSG:3857"}, said)
+    (finding,) = [each for each in said.warnings if each.id == "crs-distorts"]
+    assert "EPSG:3857" in finding and urban.crs in finding  # and the UTM zone
+    assert Scene.load(made.scene).history[0].warnings[0].id == "crs-distorts"

@@ -102,7 +102,7 @@ def test_heights_are_those_of_the_file_to_a_centimetre(tmp_path):
     )
     assert (made.columns, made.rows) == (130, 90) == tuple(facts["size"])
     np.testing.assert_allclose(heights_in(facts), values, atol=0.0051)
-    assert facts["quantum"] == 0.01 and facts["cell_m"] == [0.5, 0.5]
+    assert facts["quantum"] == 0.01 and facts["cell_m"] == pytest.approx([0.5 / 0.9996] * 2)  # on the ground
     assert (facts["corner"], facts["step"]) == ([500000.0, 4800000.0], [0.5, -0.5])
     assert (facts["crs"], facts["datum"]) == ("WGS 84 / UTM zone 31N (EPSG:32631)", "EGM96 height")
     assert "is larger than this page" not in "".join(parts.text)
