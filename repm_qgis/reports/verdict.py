@@ -162,12 +162,6 @@ def of_error_map(rmse: float, refined: bool, bounds: VerdictParameters = VERDICT
 def of_points(found: GcpAccuracy, bounds: VerdictParameters = VERDICT) -> List[Finding]:
     """The findings of a check against ground control points."""
     said = []
-    if found.wrong:
-        said.append(
-            Finding(
-                "gcps-contradict", f"Control points contradict the others ({', '.join(found.wrong)}): see 'Points'."
-            )
-        )
     count = int(found.rows().sum())
     if count < bounds.least_points:
         said.append(
