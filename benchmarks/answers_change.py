@@ -40,6 +40,11 @@ class Polygon:
     deviation: float
 
 
+def _size() -> int:
+    """The side of a town's images, px."""
+    return 500 if is_quick() else _SIZE
+
+
 def _found(before: str, after: str, confidences: Sequence[str], folder: str) -> Tuple[List[Polygon], ChangeResult]:
     made = {"before": before, "after": after, "output": f"{folder}/d.tif", "volumes": f"{folder}/v.gpkg"}
     made.update(zip(("before_confidence", "after_confidence"), confidences))
@@ -92,7 +97,7 @@ def _scored(found: Sequence[Polygon], truth: List[Change]) -> Score:
 
 def _town(seed: int, stated: bool) -> Tuple[Score, List[Polygon]]:
     """The changes of a town, and what is found between two DSMs of its first date."""
-    made = dates(_SIZE, seed)
+    made = dates(_size(), seed)
     with tempfile.TemporaryDirectory() as folder:
         parts = []
         for names in few((("before", "after"), ("same_1", "same_2"))):
@@ -153,7 +158,7 @@ def _simulated() -> List[str]:
         "between two DSMs of one date"
     )
     return [
-        f"Changes of simulated towns of {_SIZE * 0.5:.0f} m a side ({len(few(_SEEDS))} towns, 0.5 m, three views at "
+        f"Changes of simulated towns of {_size() * 0.5:.0f} m a side ({len(few(_SEEDS))} towns, 0.5 m, three views at "
         f"each date): {len(KINDS)} buildings of each are added, removed or raised by 3 m. The second date has another "
         "sun, other views, noise and pointing errors; both DSMs are made by the whole pipeline. *All volumes*: the sum "
         "of all volumes that were found against the true sum. *Within 1, 2 deviations*: the share of true volumes that "
