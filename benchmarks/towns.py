@@ -28,7 +28,7 @@ from repm_qgis.evaluation.grids import Grid, HeightWarper
 from repm_qgis.evaluation.metrics import THRESHOLDS_M, height_metrics
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.imagery.heights import read_heights
-from repm_qgis.imagery.raster import opened, read
+from repm_qgis.imagery.raster import opened, read, write
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.stages.parameters import ENGINE
 from repm_qgis.ties.parameters import TIES
@@ -120,6 +120,27 @@ def _mid_air(truth: np.ndarray, cell: float) -> np.ndarray:
     filled, top, bottom = _surroundings(truth, cell)
     between: np.ndarray = (top - bottom > _STEP_M) & (filled - bottom > 1.0) & (top - filled > 1.0)
     return between & np.isfinite(truth)
+
+
+def write_mid_air(path: str) -> str:
+    """Write a raster that is 1 where the lidar's own cells hang in mid-air, and 0 elsewhere; gives its path."""
+    with opened(_LIDAR.heights) as dataset:
+        lost = _mid_air(read(dataset), dataset.GetGeoTransform()[1])
+        return write(path, [lost.astype(np.float32)], dataset.GetGeoTransform(), dataset.GetProjection())
+
+
+def real_sets() -> List[Tuple[str, List[str]]]:
+    """Sets of the real town's images, by their names: two, three of one month, six, and every second date."""
+    if not _FOLDER.exists():
+        return []
+    names = _names()
+    sets = {"2": names[:2], "3, January": list(_JANUARY), "6": names[:6], "every second date": names[::2]}
+    return [(f"jax_068, {label}", _images(chosen)) for label, chosen in sets.items()]
+
+
+def simulated_town(dates: int) -> Path:
+    """The folder of the simulated town of the first dates, with all that real images of many dates differ by."""
+    return _simulated_scene("all effects", dates, {})
 
 
 def _mid_air_share() -> float:

@@ -14,6 +14,8 @@ from ..contracts.options import BuildingsOptions
 from ..imagery.raster import quiet
 from ..runtime.progress import Progress
 from ..terrain.inputs import Surface
+from ..terrain.parameters import TERRAIN
+from ..terrain.steepness import on_steep_ground, slopes_of
 from .building import Building, building_of
 from .cells import Rasters
 from .footprints import borders, write_cells
@@ -83,4 +85,19 @@ def find_buildings(
                 buildings.append(building)
         buildings = sorted(buildings, key=lambda each: -each.area)
         buildings = [replace(each, number=number) for number, each in enumerate(buildings, start=1)]
-        return FoundBuildings(surface, buildings, rasters.shows_plants, rasters.warnings)
+        warnings = rasters.warnings + _hillsides(surface, buildings, progress)
+        return FoundBuildings(surface, buildings, rasters.shows_plants, warnings)
+
+
+def _hillsides(surface: Surface, buildings: List[Building], progress: Progress) -> List[Finding]:
+    """A warning where many of the buildings are steep ground that the terrain does not follow."""
+    shapes = [ogr.CreateGeometryFromWkb(each.outline) for each in buildings]
+    count, share = on_steep_ground(slopes_of(surface, progress.check_cancelled), shapes)
+    if share <= TERRAIN.steepness.most_hillside:
+        return []
+    text = (
+        f"{count} of the {len(buildings)} buildings ({100 * share:.0f} % of their area) are surfaces steeper than "
+        f"{100 * TERRAIN.steepness.hillside:g} % that no walls bound: probably hillsides, which the terrain cuts off. "
+        "Make the terrain with 'Find the terrain below houses and trees' and a larger SLOPE first, and give it as DTM."
+    )
+    return [Finding("buildings-hillsides", text, "doubt")]

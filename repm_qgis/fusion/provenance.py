@@ -11,11 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Iterable, Tuple
 
+import cv2
 import numpy as np
 
 from ..contracts.arrays import FloatImage, Mask
 from ..imagery.confidence import Provenance
-from ..numerics.accuracy import LE90
 from .aggregation import Candidate, FusedCells
 from .parameters import FUSION, ErrorParameters, EvidenceParameters
 from .surroundings import extremes
@@ -25,7 +25,7 @@ from .surroundings import extremes
 class SurfaceCells:
     """The finished heights of cells, (H, W) each: ``height`` (m, NaN = none), the ``count`` of height maps that agree,
     their ``spread`` (m) and mean ``score`` (NaN where no map has the height), the ``source`` (:class:`.Provenance`) and
-    the ``error`` within which about two thirds of such heights are right (m)."""
+    the ``error`` and the ``le90`` within which about two thirds and nine tenths of such heights are right (m)."""
 
     height: FloatImage
     count: FloatImage
@@ -33,6 +33,7 @@ class SurfaceCells:
     score: FloatImage
     source: FloatImage
     error: FloatImage
+    le90: FloatImage
 
     @classmethod
     def of(cls, arrays: Iterable[FloatImage]) -> SurfaceCells:
@@ -41,7 +42,7 @@ class SurfaceCells:
 
     def facts(self) -> Tuple[FloatImage, ...]:
         """The confidence raster's bands, in their order."""
-        return self.count, self.spread, self.score, self.source, self.error, np.float32(LE90) * self.error
+        return self.count, self.spread, self.score, self.source, self.error, self.le90
 
 
 def described(
@@ -49,16 +50,18 @@ def described(
     ground: FloatImage,
     height: FloatImage,
     reach: int,
+    far: int,
     evidence: EvidenceParameters = FUSION.evidence,
     parameters: ErrorParameters = FUSION.error,
 ) -> SurfaceCells:
     """The surface with the chosen heights (H, W), m, of cells with these candidates.
 
     ``ground`` (H, W) is that of shadows, NaN = none. The error of a height that no map supports follows from the relief
-    within ``reach`` cells. Pointing errors, which all cells share, are not included: the report states them.
+    within ``reach`` cells, the LE90 of a matched one also from what lies within ``far`` cells. Pointing errors, which
+    all cells share, are not included: the report states them.
     """
     nothing = np.full(height.shape, np.nan, np.float32)
-    count, spread, score, source, error = (nothing.copy() for _ in range(5))
+    count, spread, score, source, error, le90 = (nothing.copy() for _ in range(6))
     known = np.isfinite(height)
     relief = _relief(height, known, reach)
     steps = np.float32(parameters.of_relief) * np.minimum(relief, np.float32(parameters.relief_m))
@@ -78,7 +81,65 @@ def described(
         own = np.float32(parameters.of_sigma) * each.sigma[cells] / (agree * np.sqrt(each.count[cells]))
         apart = np.nan_to_num(each.spread[cells]), height[cells] - each.height[cells]
         error[cells] = np.hypot(np.hypot(own, steps[cells]), np.hypot(*apart))
-    return SurfaceCells(height, count, spread, score, source, error)
+    le90[known] = np.float32(parameters.le90_of_others) * error[known]
+    tails = _Tails.around(
+        height, known, source == Provenance.MATCHED, count, reach=reach, far=far, parameters=parameters
+    )
+    for each, other in ((fused.second, fused.first), (fused.first, fused.second)):
+        cells = (each.count > 0) & _supported(each, height, evidence)
+        le90[cells] = tails.le90(error, height, each, other, fused.evidence)[cells]
+    return SurfaceCells(height, count, spread, score, source, error, le90)
+
+
+@dataclass(frozen=True)
+class _Tails:
+    """Why an error of a matched height may be gross, (H, W) each: the ``scale`` of such errors (m), which is the relief
+    around, up to some metres; the share of the cells beside it that are not matched (``holes``); and the share of the
+    maps with heights nearby that is ``lacking``."""
+
+    scale: FloatImage
+    holes: FloatImage
+    lacking: FloatImage
+    parameters: ErrorParameters
+
+    @classmethod
+    def around(
+        cls,
+        height: FloatImage,
+        known: Mask,
+        matched: Mask,
+        count: FloatImage,
+        *,
+        reach: int,
+        far: int,
+        parameters: ErrorParameters,
+    ) -> _Tails:
+        """Of a surface (see :func:`described`) and the ``count`` of maps that have its heights."""
+        side = 2 * reach + 1
+        scale = np.minimum(_relief(height, known, far), np.float32(parameters.tail_m))
+        holes = cv2.boxFilter((~matched).astype(np.float32), -1, (side, side), normalize=False) / np.float32(side**2)
+        enough = np.minimum(np.nan_to_num(count), np.float32(parameters.enough_maps))
+        most = cv2.dilate(enough, np.ones((2 * far + 1, 2 * far + 1), np.uint8))
+        return cls(scale, holes, 1 - enough / np.maximum(most, np.float32(1)), parameters)
+
+    def le90(
+        self, error: FloatImage, height: FloatImage, own: Candidate, other: Candidate, evidence: FloatImage
+    ) -> FloatImage:
+        """(H, W) what nine of ten errors of the heights of a candidate keep below, m; ``error`` are the expected ones
+        and ``evidence`` that of all maps.
+
+        Errors are a mixture: a core, and a tail of gross errors that a share of the heights has (Huber 1981, "Robust
+        Statistics"). More have them beside steps and holes, where a single map has the height, and where maps
+        contradict each other.
+        """
+        p, maps = self.parameters, np.maximum(own.count, np.float32(1))
+        beside = np.clip(2 - 2 * own.evidence / maps, 0, 1)
+        against = 1 - own.evidence / np.maximum(np.maximum(evidence, own.evidence), np.float32(1e-6))
+        apart = np.minimum(np.abs(np.nan_to_num(other.height - height)), np.float32(p.tail_m))
+        share = (p.tail_beside * beside) ** 2 + (p.tail_holes * self.holes) ** 2 + p.tail_alone**2 / maps
+        core = (p.le90_of_error * error) ** 2
+        square = core + share * self.scale**2 / maps + (p.tail_against * against * apart) ** 2
+        return np.asarray((1 + p.tail_lacking * self.lacking) * np.sqrt(square), np.float32)
 
 
 def _supported(candidate: Candidate, height: FloatImage, parameters: EvidenceParameters) -> Mask:

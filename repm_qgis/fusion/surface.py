@@ -86,8 +86,13 @@ class SurfaceTask:
 
 def halo(grid: CellGrid, walls: bool, largest: int, parameters: FusionParameters = FUSION) -> int:
     """How many cells around a block its surface depends on; needles have ``largest`` cells at most."""
-    around = near_reach(grid.cell, parameters.choice) + largest + parameters.needles.around_cells
+    around = _far(grid.cell, parameters) + largest + parameters.needles.around_cells
     return around + (reach_cells(grid.cell, parameters.choice) if walls else 0)
+
+
+def _far(cell: float, parameters: FusionParameters) -> int:
+    """How many cells away what makes an error gross may lie."""
+    return max(near_reach(cell, parameters.choice), round(parameters.error.far_m / cell))
 
 
 def make_block(task: SurfaceTask) -> int:
@@ -97,7 +102,7 @@ def make_block(task: SurfaceTask) -> int:
     if task.lights:
         light = _light(task.lights, task.wide)
         height = chosen(Problem(fused, ground, light, cell, p.evidence, p.choice))
-    surface = described(fused, ground, height, near_reach(cell, p.choice), p.evidence, p.error)
+    surface = described(fused, ground, height, near_reach(cell, p.choice), _far(cell, p), p.evidence, p.error)
     values = np.stack([getattr(surface, field.name) for field in fields(surface)])
     gone = needles(surface.height, surface.count, cell, task.largest, p.needles)
     values[:, gone] = np.nan

@@ -149,7 +149,7 @@ def flattened(surface: SurfaceCells, level: FloatImage) -> SurfaceCells:
     return SurfaceCells(height=np.where(water, level, surface.height), source=source, **unknown)
 
 
-_UNKNOWN = ("count", "spread", "score", "error")
+_UNKNOWN = ("count", "spread", "score", "error", "le90")
 
 
 # Where ------------------------------------------------------------------------------------------------------------

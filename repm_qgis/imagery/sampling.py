@@ -48,10 +48,14 @@ def known_or_zero(image: Floats) -> Floats:
 
 def median_of_neighbours(image: Floats, side: int, least: int) -> Floats:
     """:func:`median_of_known` of the square of ``side`` pixels around each pixel."""
+    return median_of_known(neighbours(image, side), least)
+
+
+def neighbours(image: Floats, side: int) -> Floats:
+    """(side^2, rows, columns) the square of ``side`` pixels around each pixel; NaN outside the image."""
     rows, columns = image.shape
     padded = np.pad(image, side // 2, constant_values=np.nan)
-    stack = np.stack([padded[i : i + rows, j : j + columns] for i in range(side) for j in range(side)])
-    return median_of_known(stack, least)
+    return np.stack([padded[i : i + rows, j : j + columns] for i in range(side) for j in range(side)])
 
 
 def mean_of_known(

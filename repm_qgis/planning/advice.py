@@ -281,7 +281,9 @@ def other_season(pair: ViewPair, parameters: AdviceParameters = PLANNING.advice)
 
 def expected_accuracy_m(pair: ViewPair, gsd_m: float, parameters: AdviceParameters = PLANNING.advice) -> float:
     """How accurate the heights of a pair are where matching is as accurate as expected, m; ``gsd_m`` is that of the
-    finest pair."""
+    finest pair. Infinite where both look from one direction: they measure none."""
+    if pair.base_to_height == 0:
+        return math.inf
     return parameters.matching_px * pair_gsd_m(pair.gsd_m or gsd_m, gsd_m) / pair.base_to_height
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from osgeo import ogr
 
 from ..contracts.arrays import Altitudes, Bounds, FloatArray, FloatImage, Mask, Window
-from ..contracts.errors import OptionError
+from ..contracts.errors import ImageError, OptionError
 from ..contracts.findings import Finding
 from ..contracts.records import ViewPair
 from ..geometry.footprints import bounds_of, box, footprint, geometry_of, ray_slope
@@ -31,8 +31,9 @@ from ..runtime.progress import Part, Progress
 from ..scene import View
 from ..stereo.pairing import reductions
 from .altitudes import ALTITUDES, AltitudeParameters
+from .overlap import common_ground
 from .pair_selection import change_cost, pair_at, usual_change
-from .parameters import PLANNING, SweepParameters
+from .parameters import PLANNING, PlanningParameters, SweepParameters
 
 _ROOM = 1.5  # times the distance at which two images may just touch: their RPCs may be wrong, and ground high
 
@@ -398,6 +399,29 @@ def _cross_shift(sweep: _Sweep, patch: Bounds) -> Tuple[float, int, Tuple[int, i
         best = np.max([_correlation(a, b, shift, sweep.parameters) for a, b in stack], axis=0)
         scored.append((float(np.mean(best)), -abs(step), shift))
     return max(scored)
+
+
+def ground_altitude(
+    views: Sequence[View],
+    crs: str,
+    *,
+    search: Altitudes,
+    progress: Progress,
+    parameters: PlanningParameters = PLANNING,
+) -> Tuple[float, bool]:
+    """The median altitude of the ground that two views see, m above the ellipsoid, and whether the images show it: the
+    sweep of :func:`altitude_range`. Where they show none, or cannot be read, the middle of ``search``.
+    """
+    area = common_ground(views, crs, search, parameters)
+    if not area.IsEmpty():
+        bounds = Bounds(*bounds_of(area))
+        try:
+            swept = sweep_altitudes(views, crs, bounds, search=search, progress=progress, parameters=parameters.sweep)
+        except ImageError:
+            swept = None
+        if swept is not None:
+            return float(np.median(swept.points[:, 2])), True
+    return sum(search) / 2, False
 
 
 def altitude_range(

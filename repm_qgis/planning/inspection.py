@@ -1,4 +1,4 @@
-"""What images and their RPCs alone say, before anything is matched: where they lie, how they overlap, which pairs fit.
+"""What images and their RPCs say before anything is matched: where they lie, how they overlap, which pairs fit.
 
 Images of several places are treated place by place, each in a UTM zone of its own.
 """
@@ -20,13 +20,16 @@ from ..geometry.footprints import Polygon, bounds_of, footprint, geometry_of, ra
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic, utm_crs
 from ..geometry.tiles import enclosing
 from ..imagery.acquisition import duration_text
+from ..runtime.progress import Part, Progress, Silent
 from ..scene import View, common_heights, finest_gsd_m, middle_of, pair_gsd_m
 from .advice import expected_accuracy_m, other_season, other_sun
+from .altitude_range import ground_altitude
 from .overlap import places
 from .pair_selection import Seen, best_pairs, pair_at, places_seen, shared_part, sun_at
 from .parameters import PLANNING, PlanningParameters
 
 YES, CARE, NO = "yes", "with care", "no"
+_SILENT = Silent()
 
 
 @dataclass(frozen=True)
@@ -66,12 +69,16 @@ class PairFacts:
 class Place:
     """Images that lie together: their CRS, the altitude (m above the ellipsoid) of the outlines, images and pairs.
 
+    ``shown``: the images show that the ground lies there; else it is the middle of the heights that their RPCs were
+    made for.
+
     Images are in the order of their times, and pairs in that of their worth: those that are matched first, then others
     by the time between their images.
     """
 
     crs: str
     altitude: float
+    shown: bool
     images: Tuple[ImageFacts, ...]
     pairs: Tuple[PairFacts, ...]
 
@@ -115,14 +122,22 @@ class Place:
 
 
 def inspect_views(
-    views: Sequence[View], least_px: float, parameters: PlanningParameters = PLANNING
+    views: Sequence[View], least_px: float, progress: Progress = _SILENT, parameters: PlanningParameters = PLANNING
 ) -> Tuple[Place, ...]:
     """The places of the views (:func:`~repm_qgis.planning.overlap.places`), those with most images first."""
-    return tuple(_place(group, least_px, parameters) for group in places(views, least_px))
+    groups = places(views, least_px)
+    ends = [number / len(groups) for number in range(len(groups) + 1)]
+    return tuple(
+        _place(group, least_px, Part(progress, *ends[number : number + 2]), parameters)
+        for number, group in enumerate(groups)
+    )
 
 
-def _place(views: Sequence[View], least_px: float, parameters: PlanningParameters) -> Place:
-    crs, altitude = utm_crs(*middle_of(views)), sum(common_heights(views)) / 2
+def _place(views: Sequence[View], least_px: float, progress: Progress, parameters: PlanningParameters) -> Place:
+    crs = utm_crs(*middle_of(views))
+    altitude, shown = ground_altitude(
+        views, crs, search=common_heights(views), progress=progress, parameters=parameters
+    )
     outlines = [projected_from_geodetic(crs, footprint(view.localise, view.size, altitude)) for view in views]
     images = tuple(_image(view, crs, outline, altitude) for view, outline in zip(views, outlines))
     shapes, area = [geometry_of(outline) for outline in outlines], seen_twice([outlines])
@@ -154,7 +169,7 @@ def _place(views: Sequence[View], least_px: float, parameters: PlanningParameter
         )
     )
     images = tuple(sorted(images, key=lambda facts: (facts.view.acquired or "", facts.view.name)))
-    return Place(crs, altitude, images, tuple(pairs))
+    return Place(crs, altitude, shown, images, tuple(pairs))
 
 
 def _image(view: View, crs: str, outline: Polygon, altitude: float) -> ImageFacts:

@@ -9,20 +9,23 @@ import hashlib
 import math
 import os
 from collections import Counter
-from typing import Callable, List, Optional, Sequence, Tuple
+from typing import Callable, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
+from osgeo import ogr
 
-from ..contracts.arrays import FloatArray, Window
+from ..contracts.arrays import Altitudes, FloatArray, Window
 from ..contracts.errors import OverlapError, RpcInvalidError
 from ..contracts.findings import Finding
 from ..contracts.options import EpmFitOptions
-from ..geometry.footprints import Polygon, footprint, geometry_of, ring
+from ..geometry.footprints import Polygon, footprint, geometry_of, ring, seen_twice
+from ..geometry.frames import projected_from_geodetic
 from ..imagery.deliveries import with_images
 from ..imagery.raster import opened, read
 from ..runtime.progress import Silent, listed
 from ..scene import View, common_heights, load_views
+from .parameters import PLANNING, PlanningParameters
 
 Warn = Callable[[Finding], None]
 """It is given a sentence that the user should read."""
@@ -63,14 +66,46 @@ def views_of(options: EpmFitOptions, least_px: float, warn: Warn = lambda text: 
     return of_one_place(_each_once(views, warn), least_px, warn, _wanted(options))
 
 
-def _each_once(views: Sequence[View], warn: Warn) -> List[View]:
-    """The views without copies of others, which would count as independent evidence; ``warn`` gets a sentence about
-    each.
+def common_ground(
+    views: Sequence[View], crs: str, altitudes: Altitudes, parameters: PlanningParameters = PLANNING
+) -> ogr.Geometry:
+    """The ground in ``crs`` that two views see at some altitude of a range, m above the ellipsoid; empty for none."""
+    levels = np.linspace(*altitudes, parameters.area_altitudes)
+    return seen_twice([[projected_from_geodetic(crs, footprint(v.localise, v.size, z)) for v in views] for z in levels])
 
-    A copy's RPC may have been rounded. Raises RpcInvalidError where other pixels have the same RPC, or the same pixels
-    another RPC, and OverlapError where all are copies of one.
+
+class Doublet(NamedTuple):
+    """A view that is no image of its own, and the sentence that says so; ``wrong``: nobody can say which of the two
+    RPCs or pixels is right."""
+
+    view: View
+    text: str
+    wrong: bool
+
+
+def _each_once(views: Sequence[View], warn: Warn) -> List[View]:
+    """The views without copies of others (:func:`without_doublets`); ``warn`` gets a sentence about each.
+
+    Raises RpcInvalidError where a doublet is wrong, and OverlapError where all are copies of one.
+    """
+    kept, doublets = without_doublets(views)
+    for each in doublets:
+        if each.wrong:
+            raise RpcInvalidError(each.text)
+        warn(Finding("image-copied", each.text))
+    if len(kept) == 1 < len(views):
+        raise OverlapError(f"All images are copies of '{kept[0].image}': choose another image of the same ground.")
+    return kept
+
+
+def without_doublets(views: Sequence[View]) -> Tuple[List[View], List[Doublet]]:
+    """The views that are images of their own, and the others: copies, which would count as independent evidence, other
+    pixels with the same RPC, and the same pixels with another RPC. A copy's RPC may have been rounded.
+
+    Raises ImageError where pixels cannot be read.
     """
     kept: List[View] = []
+    doublets: List[Doublet] = []
     sizes = Counter(view.size for view in views)
     middles = {id(view): _middle(view) for view in views if sizes[view.size] > 1}
 
@@ -83,24 +118,23 @@ def _each_once(views: Sequence[View], warn: Warn) -> List[View]:
         same = next((other for other in kept if same_pixels(other, view)), None)
         alike = next((other for other in kept if other.model == view.model), None)
         if same is None and alike is not None:
-            raise RpcInvalidError(
+            text = (
                 f"The images {alike.name} and {view.name} have the same RPC: give each image its own RPC (the file "
                 "beside it, or RPCS), and give the parts of one image as one image."
             )
-        if same is None:
+            doublets.append(Doublet(view, text, wrong=True))
+        elif same is None:
             kept.append(view)
-            continue
-        apart = _apart_px(same, view)
-        if apart > _ROUNDED_PX:
-            raise RpcInvalidError(
-                f"The images {same.name} and {view.name} have the same pixels, but RPCs that place them {apart:.1f} px "
-                "apart: give the image once, with its own RPC."
+        elif _apart_px(same, view) > _ROUNDED_PX:
+            text = (
+                f"The images {same.name} and {view.name} have the same pixels, but RPCs that place them "
+                f"{_apart_px(same, view):.1f} px apart: give the image once, with its own RPC."
             )
-        text = f"The image {view.name} ('{view.image}') is a copy of {same.name}: only {same.name} is used."
-        warn(Finding("image-copied", text))
-    if len(kept) == 1 < len(views):
-        raise OverlapError(f"All images are copies of '{kept[0].image}': choose another image of the same ground.")
-    return kept
+            doublets.append(Doublet(view, text, wrong=True))
+        else:
+            text = f"The image {view.name} ('{view.image}') is a copy of {same.name}: only {same.name} is used."
+            doublets.append(Doublet(view, text, wrong=False))
+    return kept, doublets
 
 
 def _middle(view: View) -> bytes:

@@ -128,6 +128,7 @@ class PlanningParameters(Parameters):
     promises: PromiseParameters = PromiseParameters()
     rpc_heights: RpcHeightParameters = RpcHeightParameters()
     advice: AdviceParameters = AdviceParameters()
+    area_altitudes: int = 5  # of a range, at which the images' footprints are intersected; chosen
     usual_px: float = 2.0  # by which RPCs of one pass usually disagree in each direction: tells datums apart; chosen
 
 

@@ -50,7 +50,8 @@ def inspection_page(
     _choices(page, choices)
     for number, place in enumerate(places, start=1):
         of = f" of place {number}" if len(places) > 1 else ""
-        caption = f"Footprints{of} at {place.altitude:.0f} m above the ellipsoid, north up ({place.crs})."
+        ground = "where the images show the ground" if place.shown else "the middle of the RPCs' heights"
+        caption = f"Footprints{of} at {place.altitude:.0f} m above the ellipsoid ({ground}), north up ({place.crs})."
         page.svg(charts.footprints({facts.view.name: facts.outline for facts in place.images}), caption)
     _images(page, places, unusable)
     _pictures(page, places)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import date, datetime, time, timedelta, timezone
-from typing import List, Optional, Sequence
+from datetime import datetime, timedelta
+from typing import List, Sequence
 
 import numpy as np
 
 from ..contracts.arrays import FloatArray
 from ..contracts.errors import OptionError
-from ..imagery.acquisition import acquired, moment
-from ..imagery.raster import opened
-from ..names import surface_days
+from ..gate.times import read_time, require_possible, time_of
 
 _YEAR = timedelta(days=365.25)
 
@@ -28,15 +26,6 @@ class DatedDsm:
     label: str = ""
 
 
-def read_time(text: str) -> Optional[datetime]:
-    """A day (``2024-05-01``) or a time in ISO 8601 (UTC without a zone); None for anything else."""
-    text = text.strip()
-    try:
-        return datetime.combine(date.fromisoformat(text), time(), timezone.utc)
-    except ValueError:
-        return moment(text)
-
-
 def dated(dsms: Sequence[str], confidences: Sequence[str], dates: Sequence[str]) -> List[DatedDsm]:
     """The DSMs in the order of their times: those that are given, else the files' own.
 
@@ -45,12 +34,13 @@ def dated(dsms: Sequence[str], confidences: Sequence[str], dates: Sequence[str])
     """
     found = []
     for index, path in enumerate(dsms):
-        taken = read_time(dates[index]) if dates else _of_file(path)
+        taken = read_time(dates[index]) if dates else time_of(path)
         if taken is None and dates:
             raise OptionError("DATES", dates[index], "must be a day such as 2024-05-01, or a time in ISO 8601")
         if taken is None:
             reason = "has no time, neither in its metadata nor in a STAC item beside it: give all DATES"
             raise OptionError("DSMS", path, reason)
+        require_possible(taken, "DATES" if dates else "DSMS", dates[index] if dates else path)
         found.append(DatedDsm(path, confidences[index] if confidences else "", taken))
     found.sort(key=lambda each: each.taken)
     for one, other in zip(found, found[1:]):
@@ -60,14 +50,6 @@ def dated(dsms: Sequence[str], confidences: Sequence[str], dates: Sequence[str])
     days = [each.taken.date() for each in found]
     form = "%Y-%m-%d" if len(set(days)) == len(days) else "%Y-%m-%d %H:%M:%S"
     return [DatedDsm(each.path, each.confidence, each.taken, each.taken.strftime(form)) for each in found]
-
-
-def _of_file(path: str) -> Optional[datetime]:
-    """The time that a file, or a STAC item beside it, says; else the middle of the days of a DSM of this plugin."""
-    with opened(path) as dataset:
-        said = acquired(dataset, path)
-    days = [taken for taken in map(read_time, surface_days(path)) if taken is not None]
-    return moment(said) if said else days[0] + (days[-1] - days[0]) / 2 if days else None
 
 
 def years_of(series: Sequence[DatedDsm]) -> FloatArray:

@@ -21,6 +21,7 @@ from ..contracts.arrays import ByteImage, FloatArray, FloatImage, IntArray, Wind
 from ..contracts.documents import JsonObject
 from ..contracts.errors import EmptyResultError
 from ..evaluation.grids import Grid, cell_sides, require_place
+from ..gate.companions import picture_findings, share_under
 from ..geometry.frames import on_earth
 from ..geometry.vertical import TAG
 from ..imagery.heights import read_heights
@@ -74,14 +75,17 @@ def write_tiles3d(
     the ellipsoid, with a warning.
 
     Raises ImageError for a raster that cannot be read or lies nowhere, EmptyResultError for a DSM without heights,
-    MissingPackageError where PROJ lacks the grid of its geoid, WorkspaceError where the folder has other files or
-    cannot be written.
+    OverlapError for an orthophoto of another place, MissingPackageError where PROJ lacks the grid of its geoid,
+    WorkspaceError where the folder has other files or cannot be written.
     """
     progress = progress or Silent()
     require_tiles3d_place(folder)
     with ExitStack() as stack:
         dataset = stack.enter_context(opened(dsm))
         paint = stack.enter_context(opened_paint(ortho, parameters.painting)) if ortho else None
+        if ortho and paint is not None:
+            for finding in picture_findings(dsm, ortho, share_under(Grid.of(paint.dataset), Grid.of(dataset))):
+                progress.warn(finding)
         whole = stack.enter_context(whole_folder(folder))
         (whole / "tiles").mkdir()
         tree = _Tree(dataset, whole, paint, progress, parameters)

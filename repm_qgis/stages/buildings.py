@@ -5,15 +5,17 @@ from __future__ import annotations
 import os
 import time
 from dataclasses import replace
-from typing import Tuple
+from typing import Sequence, Tuple
 
 from ..buildings.cityjson import write_cityjson
 from ..buildings.finding import FoundBuildings, find_buildings, require_metres
 from ..buildings.layer import write_footprints
 from ..buildings.page import buildings_page
+from ..contracts.findings import Finding
 from ..contracts.options import BuildingsOptions, DtmOptions
 from ..contracts.results import BuildingsResult
 from ..evaluation.grids import Grid
+from ..gate.companions import terrain_findings
 from ..geometry.frames import flat_crs
 from ..imagery.raster import opened
 from ..names import surface_title
@@ -27,7 +29,7 @@ from . import dtm
 from .parameters import ENGINE, EngineParameters
 
 _TERRAIN_SHARE = 0.5  # of the progress, where the terrain is made first
-_Task = Tuple[BuildingsOptions, Surface, str, str, EngineParameters]
+_Task = Tuple[BuildingsOptions, Surface, str, str, Sequence[Finding], EngineParameters]
 
 
 def run(options: BuildingsOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> BuildingsResult:
@@ -39,6 +41,9 @@ def run(options: BuildingsOptions, progress: Progress, parameters: EngineParamet
     start, progress = time.monotonic(), Recorder(progress)
     surface = surface_of(options.dsm, options.confidence)
     require_metres(surface)
+    progress.warn_all(surface.findings)
+    if options.dtm:
+        progress.warn_all(terrain_findings(options.dsm, options.dtm))
     with kept_workers(), temporary_folder(options.output) as folder:
         terrain, share = options.dtm, 0.0
         if not terrain:
@@ -51,7 +56,7 @@ def run(options: BuildingsOptions, progress: Progress, parameters: EngineParamet
                 memory=options.memory,
             )
             dtm.run(made, Part(progress, 0.0, share), parameters)
-        task = options, surface, str(terrain), folder, parameters
+        task = options, surface, str(terrain), folder, progress.findings, parameters
         result: BuildingsResult = run_whole(_found, task, Part(progress, share, 1.0), "finding buildings")
         progress.step(1.0, "Buildings found")
     return replace(result, seconds=round(time.monotonic() - start, 3))
@@ -59,8 +64,8 @@ def run(options: BuildingsOptions, progress: Progress, parameters: EngineParamet
 
 def _found(task: _Task, progress: Progress) -> BuildingsResult:
     """The result, without its seconds."""
-    options, surface, terrain, folder, parameters = task
-    run = Recorder(progress)
+    options, surface, terrain, folder, before, parameters = task
+    run = Recorder(progress, before)
     found = find_buildings(options, surface, terrain, folder, Part(run, 0.0, 0.9), parameters.buildings)
     measured = [each.heights.measured for each in found.buildings]
     run.warn_all([*found.warnings, *of_buildings(measured, options.min_height, options.min_area)])

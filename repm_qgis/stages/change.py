@@ -8,6 +8,8 @@ from ..change.parameters import CHANGE
 from ..contracts.options import ChangeOptions
 from ..contracts.products import paths_of
 from ..contracts.results import ChangeResult
+from ..gate.surfaces import Entry, surface_findings
+from ..gate.times import order_findings
 from ..names import dates_title
 from ..reports import verdict
 from ..reports.styles import write_style
@@ -26,6 +28,12 @@ def run(options: ChangeOptions, progress: Progress) -> ChangeResult:
 
 def _changed(options: ChangeOptions, progress: Progress) -> ChangeResult:
     run = Recorder(progress)
+    entries = [
+        Entry("BEFORE", options.before, options.before_confidence or "", "BEFORE_CONFIDENCE"),
+        Entry("AFTER", options.after, options.after_confidence or "", "AFTER_CONFIDENCE"),
+    ]
+    run.warn_all(surface_findings(entries, "nothing would have changed"))
+    run.warn_all(order_findings(options.before, options.after))
     found = find_changes(options, Part(run, 0.0, 0.9))
     run.warn_all([*found.warnings, *verdict.of_change(found.changed_share, found.alignment.dz, found.level_m)])
     for product, path in paths_of("change", options):

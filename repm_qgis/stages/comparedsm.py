@@ -17,6 +17,7 @@ from ..evaluation.comparison import Comparison, compare
 from ..evaluation.grids import Grid
 from ..evaluation.metrics import HeightMetrics
 from ..evaluation.profiles import read_lines
+from ..gate.surfaces import Entry, surface_findings
 from ..imagery import raster
 from ..names import surface_title
 from ..reports.comparison_page import comparison_findings, comparison_page
@@ -36,10 +37,13 @@ def run(options: CompareDsmOptions, progress: Progress) -> CompareDsmResult:
 
 
 def _all_compared(options: CompareDsmOptions, progress: Progress) -> CompareDsmResult:
-    paths = [options.dsm, *options.others]
+    paths, run = [options.dsm, *options.others], Recorder(progress)
+    entries = [Entry("DSM", options.dsm), *(Entry("OTHERS", path) for path in options.others)]
+    run.warn_all(
+        surface_findings([Entry("REFERENCE", options.reference), *entries], "it would be compared with itself")
+    )
     ends = [0.9 * i / len(paths) for i in range(len(paths) + 1)]
     found = [_compared(options, path, Part(progress, low, high)) for path, low, high in zip(paths, ends, ends[1:])]
-    run = Recorder(progress)
     run.warn_all([*(finding for one in found for finding in one.warnings), *comparison_findings(found)])
     if options.error:
         write_style("dsm_error", options.error)

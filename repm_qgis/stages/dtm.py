@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import Callable, Dict, List, Sequence, Tuple, TypeVar
+from typing import Callable, Dict, List, Optional, Sequence, Tuple, TypeVar
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from ..runtime.workspace import temporary_folder
 from ..terrain import blocks
 from ..terrain.inputs import Surface, surface_of
 from ..terrain.page import terrain_page
+from ..terrain.steepness import Cut, cut_of, slopes_of
 from ..terrain.whole import coarse_of
 from . import dsmfuse
 from .parameters import ENGINE, EngineParameters
@@ -60,6 +61,7 @@ def run(options: DtmOptions, progress: Progress, parameters: EngineParameters = 
             surface = surface_of(dsm, confidence)
         else:
             share, surface = 0.0, surface_of(str(options.dsm), options.confidence)
+        progress.warn_all(surface.findings)
         result = _make(options, surface, folder, progress, share, parameters)
     return replace(result, seconds=round(time.monotonic() - start, 3))
 
@@ -105,7 +107,11 @@ def _make(
     ]
     made = step(0.7, 0.9, "making the terrain", blocks.make_block, last)
     paths = {name: getattr(options, name) for name in _RASTERS if getattr(options, name)}
-    run_whole(_write, (paths, surface, made), Part(progress, 0.9, 0.97), "writing the terrain")
+    cut: Optional[Cut] = run_whole(
+        _write, (paths, surface, made, search), Part(progress, 0.9, 0.97), "writing the terrain"
+    )
+    if cut is not None:
+        progress.warn(cut.finding(search.slope))
     known, objects, terrain = (sum(getattr(block, name) for block in made) for name in ("known", "objects", "terrain"))
     result = DtmResult(
         output=options.output,
@@ -128,9 +134,12 @@ def _make(
     return result
 
 
-def _write(task: Tuple[Dict[str, str], Surface, List[blocks.Block]], progress: Progress) -> None:
-    """The rasters with their styles; all of them get their names when the last one is complete."""
-    paths, surface, made = task
+def _write(
+    task: Tuple[Dict[str, str], Surface, List[blocks.Block], blocks.Search], progress: Progress
+) -> Optional[Cut]:
+    """The rasters with their styles; all of them get their names when the last one is complete. Gives what the terrain
+    lacks on steep ground."""
+    paths, surface, made, search = task
     shape = (surface.size[1], surface.size[0])
     with ExitStack() as stack:
         files = {}
@@ -158,3 +167,5 @@ def _write(task: Tuple[Dict[str, str], Surface, List[blocks.Block]], progress: P
                     file.flush()  # so that GDAL's cache does not grow
     for name, path in paths.items():
         write_style(product("dtm", name).style, path)
+    check, choices = progress.check_cancelled, search.parameters.steepness
+    return cut_of(slopes_of(surface, check, choices), surface, paths["output"], search.slope, check, choices)

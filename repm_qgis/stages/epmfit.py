@@ -21,8 +21,8 @@ from ..contracts.options import EpmFitOptions, Extent
 from ..contracts.results import EpmFitResult
 from ..files.vector import write_layer
 from ..geometry.equivalent_error import VirtualGrid, fit_pinhole, refine_pinhole, virtual_grid
-from ..geometry.footprints import bounds_of, box, footprint, seen_twice
-from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs_at, projected_from_geodetic, utm_crs
+from ..geometry.footprints import bounds_of, box
+from ..geometry.frames import EnuFrame, geodetic_from_projected, projected_crs_at, utm_crs
 from ..geometry.ground_metric import metric_at
 from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
@@ -33,7 +33,7 @@ from ..imagery.parameters import SAMPLING
 from ..imagery.raster import raster_identity, require_content
 from ..names import scene_title
 from ..planning.altitude_range import altitude_range
-from ..planning.overlap import views_of
+from ..planning.overlap import common_ground, views_of
 from ..planning.plane_heights import with_planes
 from ..reports.stage_reports import fit_report
 from ..rpc.readers import rpc_sidecars
@@ -111,20 +111,33 @@ def _masks_are_there(scene: Scene) -> bool:
 
 
 def _without_collars(views: Sequence[View], folder: Path, progress: Progress) -> Tuple[View, ...]:
-    """The views with masks of the black ends of their parts, where no nodata value marks these."""
+    """The views with masks of the empty ends of their parts, where no nodata value marks these."""
     found = []
     for view in views:
         progress.step(0.0, f"black ends of {view.name}")
-        target = str(folder / f"{view.name}.tif")
+        target, fills = str(folder / f"{view.name}.tif"), []
         share = write_collar_mask(
-            view.image, view.band, view.mask, target=target, check=progress.check_cancelled, part=view.part
+            view.image,
+            view.band,
+            view.mask,
+            target=target,
+            check=progress.check_cancelled,
+            part=view.part,
+            told=fills.append,
         )
         if share:
             looked_at = f"the part of '{view.name}' around EXTENT" if view.part else f"'{view.name}'"
-            progress.info(
-                f"{100 * share:.1f} % of the pixels of {looked_at} are black margins that no nodata value marks: they "
-                "are left out."
-            )
+            percent = f"{100 * share:.1f}"
+            if fills:
+                progress.info(
+                    f"{percent} % of the pixels of {looked_at} are margins of the value {fills[0]:g}, or black ones, "
+                    "that no nodata value marks: they are left out."
+                )
+            else:
+                progress.info(
+                    f"{percent} % of the pixels of {looked_at} are black margins that no nodata value marks: they are "
+                    "left out."
+                )
         found.append(replace(view, mask=target) if share else view)
     return tuple(found)
 
@@ -236,9 +249,7 @@ def _area(
     views: Sequence[View], crs: str, altitudes: Altitudes, options: EpmFitOptions, parameters: TileParameters
 ) -> ogr.Geometry:
     """The ground that two views see at some altitude of the range, within the requested extent."""
-    levels = np.linspace(*altitudes, parameters.area_altitudes)
-    outlines = [[projected_from_geodetic(crs, footprint(v.localise, v.size, z)) for v in views] for z in levels]
-    area = seen_twice(outlines)
+    area = common_ground(views, crs, altitudes)
     least = (parameters.least_overlap_px * min(v.gsd_m for v in views)) ** 2
     if area.IsEmpty() or area.GetArea() < least:
         range_ = f"{altitudes[0]:.0f} to {altitudes[1]:.0f} m above the ellipsoid"

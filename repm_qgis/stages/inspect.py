@@ -17,14 +17,16 @@ from ..geometry.footprints import geometry_of, reprojected
 from ..imagery.deliveries import with_images
 from ..names import images_name
 from ..planning.inspection import CARE, YES, Place, inspect_views
+from ..planning.overlap import without_doublets
 from ..planning.run_estimate import RunEstimate, estimate
 from ..reports.inspection_page import Choice, inspection_page, verdict
 from ..reports.styles import write_style
-from ..runtime.progress import Progress, Recorder, counted
+from ..runtime.progress import Part, Progress, Recorder, counted
 from ..scene import View, load_view
 from .parameters import ENGINE, EngineParameters
 
 _GEODETIC = "EPSG:4326"
+_LOADED = 0.5  # of the progress
 
 
 def run(options: InspectOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> InspectResult:
@@ -38,8 +40,9 @@ def run(options: InspectOptions, progress: Progress, parameters: EngineParameter
     if not views:
         path, reason = next(iter(unusable.items()))
         raise ImageError(f"None of {counted(len(unusable), 'image')} can be used; '{os.path.basename(path)}': {reason}")
-    progress.step(0.8, "overlaps of pairs")
-    places = inspect_views(views, parameters.tiles.least_overlap_px, parameters.pointing.planning)
+    progress.step(_LOADED, "overlaps of pairs")
+    part = Part(progress, _LOADED, 1.0)
+    places = inspect_views(views, parameters.tiles.least_overlap_px, part, parameters.pointing.planning)
     crs = places[0].crs if len(places) == 1 else _GEODETIC
     if options.footprints:
         _write_footprints(places, crs, options.footprints)
@@ -109,14 +112,20 @@ def _loaded(options: InspectOptions, progress: Progress) -> Tuple[List[View], Di
     unusable: Dict[str, str] = {}
     for index, (path, rpc) in enumerate(zip(options.images, options.rpcs or [""] * len(options.images))):
         progress.check_cancelled()
-        progress.step(0.8 * index / len(options.images), f"image {index + 1} of {len(options.images)}")
+        progress.step(_LOADED * index / len(options.images), f"image {index + 1} of {len(options.images)}")
         try:
             views.append(load_view(path, rpc, others=views))
         except Cancelled:
             raise
         except RepmError as error:
             unusable[path] = str(error)
-            progress.warn(Finding("image-unusable", f"'{os.path.basename(path)}' cannot be used: {error}"))
+    try:
+        views, doublets = without_doublets(views)
+        unusable.update({each.view.image: each.text for each in doublets})
+    except ImageError:
+        pass  # pixels cannot be read: what the RPCs say can be shown without them
+    for path, reason in unusable.items():
+        progress.warn(Finding("image-unusable", f"'{os.path.basename(path)}' cannot be used: {reason}"))
     return views, unusable
 
 

@@ -21,6 +21,7 @@ from ..contracts.options import DsmFuseOptions, MosaicOptions
 from ..contracts.paths import real_path
 from ..contracts.products import kept_folder
 from ..contracts.results import DsmOffset, MosaicResult
+from ..gate.surfaces import Entry, surface_findings
 from ..geometry.vertical import PLACED, PLACED_TAG
 from ..imagery.raster import opened, raster_identity
 from ..mosaic.blocks import (
@@ -74,6 +75,9 @@ def run(options: MosaicOptions, progress: Progress, parameters: EngineParameters
 
 def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: EngineParameters) -> MosaicResult:
     start, progress = time.monotonic(), Recorder(progress)
+    confidences = options.confidences or ("",) * len(options.dsms)
+    entries = [Entry("DSMS", path, own, "CONFIDENCES") for path, own in zip(options.dsms, confidences)]
+    progress.warn_all(surface_findings(entries, "it would count twice"))
     count = len(options.dsms) + len(options.scenes)
     fused = _FUSION_SHARE * len(options.scenes) / count
     surfaces = _surfaces(options, folder, Part(progress, 0.0, fused), parameters)

@@ -26,7 +26,6 @@ class TileParameters(Parameters):
 
     sizes_px: Tuple[int, ...] = (1300, 1200, 1000, 800)  # automatic ones; larger match no faster and take more memory
     least_overlap_px: int = 64  # side of the smallest area that two images must share
-    area_altitudes: int = 5  # of the range, at which the images' footprints are intersected
     surface_px: int = 48  # cells of the terrain model's surface: finer ones carry roofs, which rays may meet twice
     least_matched: int = 1000  # pixels with a height: below that, nothing was reconstructed
     least_matched_share: float = 0.01  # the same as a share of all pixels

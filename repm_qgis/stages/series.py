@@ -5,6 +5,8 @@ from __future__ import annotations
 from ..contracts.options import SeriesOptions
 from ..contracts.products import paths_of
 from ..contracts.results import SeriesResult
+from ..gate.surfaces import Entry, surface_findings
+from ..gate.times import time_findings
 from ..names import dates_title
 from ..reports.styles import write_style
 from ..runtime.parallel import run_whole
@@ -25,8 +27,13 @@ def run(options: SeriesOptions, progress: Progress) -> SeriesResult:
 
 def _followed(options: SeriesOptions, progress: Progress) -> SeriesResult:
     run = Recorder(progress)
+    confidences = options.confidences or [""] * len(options.dsms)
+    entries = [Entry("DSMS", path, own, "CONFIDENCES") for path, own in zip(options.dsms, confidences)]
+    run.warn_all(surface_findings(entries, "it would count as a date of its own"))
     found = find_series(options, Part(run, 0.0, 0.92))
-    run.warn_all(found.warnings)
+    run.warn_all(
+        [*found.warnings, *(time_findings({each.path: each.taken for each in found.series}) if options.dates else [])]
+    )
     for product, path in paths_of("series", options):
         if product.style:
             write_style(product.style, path, (-found.shown_m_a, found.shown_m_a) if product.style == "trend" else None)

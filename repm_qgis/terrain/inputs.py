@@ -11,7 +11,9 @@ import pyproj
 from .. import __version__
 from ..contracts.arrays import Size
 from ..contracts.errors import ImageError
+from ..contracts.findings import Finding
 from ..evaluation.grids import Grid, cell_sides, metric_of
+from ..gate.companions import confidence_findings
 from ..geometry.frames import flat_crs, on_earth, utm_crs
 from ..geometry.ground_metric import MOST_DISTORTION
 from ..geometry.vertical import TAG, HeightDatum
@@ -29,7 +31,7 @@ _LEAST_ERROR_M = 0.05
 class Surface:
     """A DSM: its file, cells, frame and datum; ``cell`` is the side of a cell in m. ``confidence`` is the raster of its
     expected errors, "" for none, with the bands of the error and of the source of each height (0: it has none), and
-    the ``usual_error``, m; 0 where it is not known."""
+    the ``usual_error``, m; 0 where it is not known. ``findings``: what is to be known of the two together."""
 
     path: str
     size: Size
@@ -41,6 +43,7 @@ class Surface:
     error_band: int = 0
     source_band: int = 0
     usual_error: float = 0.0
+    findings: Tuple[Finding, ...] = ()
 
     @property
     def tags(self) -> Dict[str, str]:
@@ -57,19 +60,15 @@ def surface_of(path: str, confidence: Optional[str]) -> Surface:
     surface = Surface(path, grid.size, grid.transform, crs, found.datum, cell)
     if not confidence:
         return surface
+    findings = tuple(confidence_findings(path, confidence, "CONFIDENCE", whole=True))
     with opened(confidence) as dataset:
-        other = Grid.of(dataset)
         bands = confidence_bands(dataset, "CONFIDENCE")
-    if other.size != grid.size or not np.allclose(other.transform, grid.transform, rtol=0, atol=1e-3 * cell):
-        raise ImageError(
-            f"The confidence raster '{confidence}' does not have the cells of the DSM '{path}': give the one that was "
-            "written with this DSM, or leave CONFIDENCE empty."
-        )
     errors = preview(confidence, _SAMPLE_PX, bands.error)[0]
     errors = errors[np.isfinite(errors)]
     usual = max(float(np.median(errors)), _LEAST_ERROR_M) if errors.size else 0.0
     known = confidence if usual else ""
-    return Surface(path, grid.size, grid.transform, crs, found.datum, cell, known, bands.error, bands.source, usual)
+    named = known, bands.error, bands.source, usual, findings
+    return Surface(path, grid.size, grid.transform, crs, found.datum, cell, *named)
 
 
 def _cell(grid: Grid) -> float:

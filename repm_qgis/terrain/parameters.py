@@ -43,11 +43,29 @@ class GroundParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class SteepnessParameters(Parameters):
+    """Ground that is steeper than SLOPE (terrain/steepness.py)."""
+
+    cell_m: float = 4.0  # of the gradients; as the coarse surface's
+    scales: int = 3  # and of cells twice and four times as wide, on which the benches of a quarry are a slope
+    window: int = 7  # cells a side in which gradients are compared: 28, 56 and 112 m
+    others: float = 0.3  # of the gradients there that may differ: with these values, 0 to 0.3 % of the heights of towns
+    # (jax_068, truth_urban, whu_tlc) are steep objects, and 5 to 20 % of those of mountains and of quarries; with
+    # windows of 5 cells and a half 8 % of jax_068
+    least_share: float = 0.5  # of them that must be known
+    cut_m: float = 1.0  # by which a terrain must lie below such ground; as GroundParameters.object_m
+    most_cut_percent: float = 1.0  # of a DSM's heights
+    hillside: float = 0.4  # m per m: SLOPE's default, with which buildings are searched where no terrain is given
+    most_hillside: float = 0.1  # of the area of all buildings
+
+
+@dataclass(frozen=True)
 class TerrainParameters(Parameters):
     """All choices of the bare earth."""
 
     objects: ObjectParameters = ObjectParameters()
     ground: GroundParameters = GroundParameters()
+    steepness: SteepnessParameters = SteepnessParameters()
     block_cells: int = 2048  # side of a block, at most; bounds the memory, and changes no byte
 
 

@@ -18,12 +18,13 @@ import numpy as np
 from osgeo import gdal
 
 from .. import __version__
-from ..contracts.arrays import ByteImage, FloatImage, Mask
+from ..contracts.arrays import ByteImage, FloatImage
 from ..contracts.checks import as_text
 from ..contracts.errors import EmptyResultError
 from ..contracts.options import ViewerOptions
 from ..contracts.products import STYLES
 from ..evaluation.grids import Grid, metres_per_unit
+from ..gate.companions import picture_findings
 from ..geometry.frames import flat_crs, vertical_part
 from ..geometry.vertical import TAG
 from ..imagery import raster
@@ -75,7 +76,7 @@ def write_viewer(
     ):
         if path:
             with raster.opened(path) as dataset:
-                layers.append(_draped(kind, dataset, cells, progress, parameters))
+                layers.append(_draped(kind, dataset, cells, heights, progress, parameters))
     factor = whole.size[0] / cells.size[0]
     facts = {
         "size": list(cells.size),
@@ -150,9 +151,14 @@ def _elevation(heights: FloatImage) -> Dict[str, object]:
 
 
 def _draped(
-    kind: str, dataset: gdal.Dataset, cells: Grid, progress: Progress, parameters: ViewerParameters
+    kind: str,
+    dataset: gdal.Dataset,
+    cells: Grid,
+    heights: FloatImage,
+    progress: Progress,
+    parameters: ViewerParameters,
 ) -> Dict[str, object]:
-    """A raster as the page shows it: a picture, or values with their colours."""
+    """A raster as the page shows it over its heights: a picture, or values with their colours."""
 
     def values_of(band: int) -> FloatImage:
         return read_draped(dataset, cells, band, progress.check_cancelled, parameters)
@@ -160,13 +166,17 @@ def _draped(
     if kind == "ortho":
         byte = dataset.GetRasterBand(1).DataType == gdal.GDT_Byte
         bands = [values_of(band) for band in _bands(dataset)]
+        known = np.isfinite(heights)
+        share = np.isfinite(bands[0])[known].mean()
+        for finding in picture_findings(cells.path, dataset.GetDescription(), float(share)):
+            progress.warn(finding)
         picture = np.stack([_grey(values, byte) for values in bands], axis=-1)
         data = base64.b64encode(jpeg_bytes(picture, parameters.jpeg_quality)).decode("ascii")
         return {"kind": kind, "picture": data}
     style = next(style for style in STYLES if style.kind == kind)
     values = values_of(style.band if style.band <= dataset.RasterCount else 1)
     low, high = value_range(kind, values)
-    known: Mask = np.isfinite(values)
+    known = np.isfinite(values)
     scaled = np.clip((np.where(known, values, low) - low) / (high - low), 0.0, 1.0)
     stored = np.where(known, 1 + np.rint(_VALUES * scaled), 0).astype(np.uint8)
     packed = _deflated(stored.tobytes(), parameters)

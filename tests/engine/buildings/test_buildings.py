@@ -312,6 +312,19 @@ def test_the_terrain_is_made_where_none_is_given(tmp_path):
         assert fields["ground_m"] == pytest.approx(base[house.inside()].min(), abs=0.4)
 
 
+@pytest.mark.parametrize("given", (False, True))
+def test_hillsides_are_no_good_buildings(tmp_path, told, given):
+    """A ramp of 100 % is a building of its own, or with a terrain that cuts it, and the report said "Good."."""
+    base = ground(0.0) + np.indices((SIDE, SIDE))[1] * CELL * np.ones((SIDE, SIDE))
+    terrain = written(tmp_path / "cut.tif", [np.minimum(base, base.min() + 40)]) if given else None
+    said, report = told(), tmp_path / "page.html"
+    options = {"dsm": written(tmp_path / "dsm.tif", [base]), "dtm": terrain, "report": str(report)}
+    result = run_stage("buildings", {**options, "output": str(tmp_path / "b.gpkg")}, said)
+    assert result.n_buildings
+    (finding,) = (each for each in said.warnings if each.id == "buildings-hillsides")
+    assert "surfaces steeper than 40 % that no walls bound" in finding and "Good." not in report.read_text("utf-8")
+
+
 def test_blocks_change_no_byte(tmp_path):
     from dataclasses import replace
 

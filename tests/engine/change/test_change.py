@@ -229,9 +229,16 @@ def test_other_cells_and_another_crs(dates, witnessed, tmp_path, told):
     far = gdal.Warp(
         str(tmp_path / "far.tif"), dates[1], dstSRS="EPSG:32632", xRes=1, yRes=1, resampleAlg="average", dstNodata=-9999
     )
+    far = gdal.Warp(
+        str(tmp_path / "far_confidence.tif"), witnessed["after_confidence"], dstSRS="EPSG:32632", xRes=1, yRes=1
+    )
     far = None  # noqa: F841
-    for before, after, sign in ((dates[0], tmp_path / "far.tif", 1), (tmp_path / "far.tif", dates[0], -1)):
-        found = change(str(before), str(after), tmp_path, told, **witnessed)
+    dated = (
+        (dates[0], witnessed["before_confidence"]),
+        (str(tmp_path / "far.tif"), str(tmp_path / "far_confidence.tif")),
+    )
+    for (before, own), (after, others), sign in ((*dated, 1), (*dated[::-1], -1)):
+        found = change(before, after, tmp_path, told, before_confidence=own, after_confidence=others)
         gained, lost = (found.gained_m3, found.lost_m3)[::sign]
         assert found.changes == 2 and (gained, lost) == pytest.approx((1200, 1000), rel=0.1)
         assert gdal.Open(str(tmp_path / "d.tif")).GetGeoTransform()[1] == 1

@@ -342,7 +342,7 @@ def test_cancel_leaves_nothing(make_raster, tmp_path, terrain):
         def check_cancelled(self):
             raise Cancelled
 
-    a, b = make_raster("dsm.tif", terrain(50, 50)), make_raster("reference.tif", terrain(50, 50))
+    a, b = make_raster("dsm.tif", terrain(50, 50) + 0.1), make_raster("reference.tif", terrain(50, 50))
     with pytest.raises(Cancelled):
         compare(a, b, Stop(), error=str(tmp_path / "e.tif"), report=str(tmp_path / "r.html"))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["dsm.tif", "reference.tif"]
@@ -405,7 +405,7 @@ def test_classes_have_their_names_and_are_few(make_raster, terrain, tmp_path):
     dataset = gdal.Open(path, gdal.GA_Update)
     dataset.GetRasterBand(1).SetCategoryNames(["", "roofs", "ground"])
     dataset = None  # noqa: F841
-    a, b = make_raster("dsm.tif", terrain(100, 100)), make_raster("reference.tif", terrain(100, 100))
+    a, b = make_raster("dsm.tif", terrain(100, 100) + 0.1), make_raster("reference.tif", terrain(100, 100))
     got = compare(a, b, classes=path, report=str(tmp_path / "r.html"))
     assert list(got.by_class) == ["roofs", "ground"] and got.by_class["roofs"].cells == 5000
     assert "roofs" in (tmp_path / "r.html").read_text(encoding="utf-8")
@@ -473,7 +473,7 @@ def test_profiles_follow_lines_of_another_crs(make_raster, terrain, surface, tmp
 def test_what_is_no_line_layer_is_named(make_raster, terrain, tmp_path):
     from repm_qgis.contracts.errors import InputTableError
 
-    a, b = make_raster("dsm.tif", terrain(60, 60)), make_raster("reference.tif", terrain(60, 60))
+    a, b = make_raster("dsm.tif", terrain(60, 60) + 0.1), make_raster("reference.tif", terrain(60, 60))
     with pytest.raises(InputTableError, match="none.gpkg"):
         compare(a, b, profiles=str(tmp_path / "none.gpkg"))
     (tmp_path / "empty.geojson").write_text('{"type":"FeatureCollection","features":[]}')

@@ -41,7 +41,7 @@ def cells(first, second=None):
 def surface(fused, height=None, ground=None):
     height = fused.height if height is None else row(*height)
     ground = np.full_like(height, NAN) if ground is None else row(*ground)
-    return described(fused, ground, height, 1)
+    return described(fused, ground, height, 1, 2)
 
 
 def test_each_height_says_where_it_comes_from():
@@ -85,6 +85,29 @@ def test_what_no_map_has_is_known_less_well_and_least_beside_walls():
     np.testing.assert_allclose(error, row(0.7, 0.7, 4.2, 4.2, 0.7), rtol=1e-5)
 
 
+def test_the_le90_has_a_core_and_a_tail_of_gross_errors():
+    level = (10.0,) * 7
+    plain = surface(cells(candidate(level, (3,) * 7, spread=0.0)))
+    np.testing.assert_allclose(plain.le90, 1.35 * plain.error, rtol=1e-5)
+    # Where maps beside have heights, and this one does not: their number is known, as far as three.
+    fewer = surface(cells(candidate(level, (3, 3, 3, 1, 3, 3, 3), spread=0.0)))
+    assert fewer.le90[0, 3] == pytest.approx(1.35 * fewer.error[0, 3] * (1 + 0.6 * 2 / 3), rel=1e-5)
+    many = surface(cells(candidate(level, (9, 9, 9, 4, 9, 9, 9), spread=0.0)))
+    assert many.le90[0, 3] == pytest.approx(1.35 * many.error[0, 3], rel=1e-5)
+    # Beside a wall, of a single map more than of three.
+    wall = (10.0, 10.0, 10.0, 10.0, 16.0, 16.0, 16.0)
+    single, three = (surface(cells(candidate(wall, (count,) * 7, spread=0.0))) for count in (1, 3))
+    assert (single.le90 > 1.35 * single.error)[0, 2:5].all() and single.le90[0, 2] > three.le90[0, 2]
+    # All evidence but half is for a height 5 m away.
+    against = surface(cells(candidate(level, (1,) * 7), candidate((15.0,) * 7, (1,) * 7)))
+    np.testing.assert_allclose(against.le90, np.hypot(1.35 * against.error, 1.8 * 0.5 * 5), rtol=1e-5)
+
+
+def test_heights_that_no_map_has_have_wide_tails():
+    found = surface(cells(candidate((10.0, 10.0), (0, 0))))
+    np.testing.assert_allclose(found.le90, 2.4 * found.error, rtol=1e-5)
+
+
 @pytest.mark.parametrize("kind", ("urban", "mountains"))
 def test_about_two_thirds_of_heights_are_within_it(request, told, kind):
     run = request.getfixturevalue(f"{kind}_run")
@@ -109,9 +132,13 @@ def test_about_two_thirds_of_heights_are_within_it(request, told, kind):
     error = np.abs(height + shift.dz - truth)[known]
     # Measured on scenes of other seeds: 67 % (make bench-confidence).
     assert 0.55 < (error <= expected[known]).mean() < 0.8
-    # The LE90 beside it holds nine of ten: 91.5 % in the mountains, 87.8 % in the town, whose errors have longer tails.
-    nine = gdal.Open(run.result.confidence).ReadAsArray()[5]
-    assert 0.85 < (error <= nine[known]).mean() < 0.95
+    # The LE90 beside it holds nine of ten, however many maps have a height: 75 % of two maps in the town with normal
+    # errors (make bench-confidence).
+    maps, _, _, source, _, nine = (band[known] for band in gdal.Open(run.result.confidence).ReadAsArray())
+    classes = [cells for count in (1, 2, 3) if (cells := (source == 0) & (maps == count)).sum() > 1000]
+    assert len(classes) > 1
+    for cells in classes:
+        assert 0.85 < (error <= nine)[cells].mean() < 0.96
     half = expected[known] > np.median(expected[known])
     assert np.median(error[half]) > 1.05 * np.median(error[~half])
 

@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from osgeo import gdal
 from pyproj import Geod
 
 from repm_qgis.geometry.frames import geodetic_from_projected
+from repm_qgis.planning.advice import expected_accuracy_m
 from repm_qgis.planning.inspection import CARE, NO, YES, inspect_views
 from repm_qgis.planning.pair_selection import choose_pairs
 from repm_qgis.scene import load_views
@@ -35,6 +37,11 @@ def test_what_each_image_is(urban, place):
         assert np.degrees(np.arctan(metres / 100)) == pytest.approx(facts.incidence_deg, abs=0.05)
         if facts.incidence_deg > 1:
             assert abs((azimuth - facts.azimuth_deg + 180) % 360 - 180) < 0.5
+
+
+def test_the_altitude_is_that_of_the_ground(urban, place):
+    truth = gdal.Open(urban.truth).ReadAsArray()
+    assert place.shown and place.altitude == pytest.approx(np.median(truth[truth > -9000]), abs=10)
 
 
 def test_pairs_are_those_that_the_pipeline_takes(urban_run, place):
@@ -93,6 +100,7 @@ def test_two_images_from_one_direction_are_worth_nothing(urban):
     one = urban.views[0]
     (place,) = inspect_views([one, replace(one, name="again")], 64)
     (facts,) = place.pairs
+    assert expected_accuracy_m(facts.pair, one.gsd_m) == np.inf and not place.shown
     assert (facts.worth, facts.chosen) == (NO, False) and "no heights" in facts.reason and facts.percent > 99.9
     assert place.first_area() is None
 

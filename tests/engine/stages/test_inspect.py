@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
-from osgeo import ogr
+from osgeo import gdal, ogr
 
 from repm_qgis.contracts.errors import ImageError, OptionError
 from repm_qgis.stages import run_stage
@@ -91,6 +91,36 @@ def test_bad_images_are_named_and_stop_nobody(urban, job, told, tmp_path, write_
     assert "3 images cannot be used." in page
     with pytest.raises(ImageError, match="None of 3 images can be used; 'text.tif': Cannot open"):
         run_stage("inspect", job(bad), told())
+
+
+@pytest.mark.parametrize(
+    ("change", "words"), (({}, "is a copy of img_01: only img_01 is used"), ({"pixels": 1}, "have the same RPC"))
+)
+def test_an_image_and_its_copy_are_named(urban, job, told, tmp_path, change, words):
+    """ZeroDivisionError: both look from the same direction."""
+    copy = str(tmp_path / "again.tif")
+    gdal.Translate(copy, urban.images[0])
+    if change:
+        dataset = gdal.Open(copy, gdal.GA_Update)
+        band = dataset.GetRasterBand(1)
+        band.WriteArray(band.ReadAsArray()[::-1])
+        dataset = band = None
+    said = told()
+    result = run_stage("inspect", job([urban.images[0], copy]), said)
+    assert result.n_images == 1 and any(words in text for text in said.warnings)
+    page = plain((tmp_path / "page.html").read_text(encoding="utf-8"))
+    assert words in page and "One image alone gives no heights" in page
+
+
+def test_outlines_lie_at_the_altitude_of_the_ground(shared_data, job, told, tmp_path):
+    """The RPCs' middle height is 1295 m, the ground lies at 2331 m: 47 % of overlap where it is nearly all."""
+    result = run_stage(
+        "inspect", job([str(path) for path in sorted((shared_data / "pleiades_pair").glob("img*.tif"))]), told()
+    )
+    (overlap,), _ = rows(result.overlaps)
+    assert overlap["percent"] > 95
+    assert all(2200 < row["altitude"] < 2450 for row in rows(result.footprints)[0])
+    assert "(where the images show the ground)" in plain((tmp_path / "page.html").read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from repm_qgis.imagery import raster
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.stages import run_stage
 from repm_qgis.stages.parameters import ENGINE
+from tests.engine.pages import plain
 
 UTM31 = "EPSG:32631"
 CELL = 0.5
@@ -111,6 +113,51 @@ def test_steep_hills_keep_their_tops(tmp_path):
     made(tmp_path, dsm=write(tmp_path / "dsm.tif", [ground]), slope=60)
     error = read(tmp_path / "output.tif") - ground
     assert np.sqrt(np.mean(error**2)) < 0.1 and (read(tmp_path / "mask.tif") == 1).mean() < 0.001
+
+
+def ramp():
+    """A slope of 100 % with three houses."""
+    rows, columns = np.indices(SHAPE) * CELL
+    surface = 200 + columns + 0 * rows
+    for row, col in ((60, 60), (200, 240), (300, 380)):
+        surface[row : row + 24, col : col + 30] = surface[row + 12, col + 15] + 8.0
+    return surface
+
+
+def benches():
+    """Two sides of a quarry: benches of 15 m with walls of 12 m, which no SLOPE is a wall to."""
+    _, columns = np.indices(SHAPE) * CELL
+    inside = 100 - np.abs(columns - 125)
+    return 300 - 12 * np.floor(np.maximum(inside, 0) / 15)
+
+
+@pytest.mark.parametrize("surface", (ramp, benches))
+def test_ground_that_is_steeper_than_slope_is_named(tmp_path, told, surface):
+    """The ramp ended 184 m too low under a good verdict."""
+    said = told()
+    made(tmp_path, progress=said, dsm=write(tmp_path / "dsm.tif", [surface()]))
+    (finding,) = (each for each in said.warnings if each.id == "terrain-cut")
+    assert "steeper than SLOPE (40 %)" in finding and "a smaller LARGEST" in finding
+    page = plain((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert "lie on ground steeper than SLOPE (40 %)" in page and "Good." not in page
+    if surface is ramp:
+        better = float(re.search(r"Choose SLOPE=(\d+) ", finding)[1])
+        again = told()
+        made(tmp_path, progress=again, dsm=str(tmp_path / "dsm.tif"), slope=better)
+        assert not again.warnings and abs(read(tmp_path / "heights.tif")).max() < 20
+
+
+def test_no_house_is_steep_ground(scene, tmp_path, told):
+    """Nor a hill that is as steep as SLOPE allows, whatever the cells' size."""
+    dense = np.tile(np.array([[0, 12], [5, 0]]).repeat(24, 0).repeat(24, 1), (9, 11))[: SHAPE[0], : SHAPE[1]]
+    for name, surface, cell in (
+        ("town", scene[1], CELL),
+        ("dense", hills(0.1) + dense, CELL),
+        ("hills", hills(0.35), 5.0),
+    ):
+        said = told()
+        made(tmp_path, progress=said, dsm=write(tmp_path / f"{name}.tif", [surface], cell=cell))
+        assert not said.warnings, name
 
 
 def test_a_hill_goes_on_below_a_house(tmp_path):

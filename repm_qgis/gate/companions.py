@@ -1,0 +1,151 @@
+"""Rasters that accompany a DSM: its confidence, the terrain below it, a picture over it."""
+
+from __future__ import annotations
+
+from typing import List, Tuple
+
+import numpy as np
+from osgeo import gdal
+
+from ..contracts.arrays import FloatArray, Window
+from ..contracts.errors import ImageError, OverlapError
+from ..contracts.findings import Finding
+from ..evaluation.comparison import sample_windows
+from ..evaluation.grids import Grid, HeightWarper, bounds_on, overlap
+from ..evaluation.parameters import EVALUATION
+from ..imagery.confidence import confidence_bands
+from ..imagery.heights import read_heights, read_values
+from ..imagery.raster import opened
+from ..registration.solve import mode
+from .parameters import GATE, GateParameters
+
+_ROWS = 512  # of a raster that are read
+
+
+def confidence_findings(
+    dsm: str, confidence: str, option: str, *, whole: bool = False, parameters: GateParameters = GATE
+) -> List[Finding]:
+    """What is to be known of a confidence raster that is used with a DSM: how many of its heights have no expected
+    error.
+
+    Raises ImageError for one that does not have the DSM's cells: all of them and no others where it must be ``whole``,
+    else some of them, or more.
+    """
+    with opened(dsm) as heights, opened(confidence) as errors:
+        band = confidence_bands(errors, option).error
+        column, row = _place_on(Grid.of(heights), Grid.of(errors), option, whole)
+        known, stated, alone = _counts(heights, errors, band, (column, row))
+    findings = []
+    without = 1.0 - stated / max(known, 1)
+    if without > parameters.most_unstated:
+        text = f"{_percent(without)} of the heights of '{dsm}' have no expected error in '{confidence}'"
+        findings.append(Finding("error-unknown", f"{text}, and are left out of what needs one: give the whole raster."))
+    strange = alone / max(alone + stated, 1)
+    if known and strange > parameters.most_strange:
+        text = f"{_percent(strange)} of the expected errors of '{confidence}' belong to no height of '{dsm}'"
+        findings.append(Finding("confidence-of-other", f"{text}: check that it was written with this DSM.", "doubt"))
+    return findings
+
+
+def _place_on(dsm: Grid, confidence: Grid, option: str, whole: bool) -> Tuple[int, int]:
+    """The column and row of the confidence raster's first cell among the DSM's cells; raises ImageError where its
+    cells are others."""
+    column, row = dsm.to_cells(*(confidence.transform[index] for index in (0, 3)))
+    steps = np.array([confidence.transform[i] - dsm.transform[i] for i in (1, 2, 4, 5)])
+    side = abs(dsm.transform[1]) + abs(dsm.transform[2])
+    drift = float(np.abs(steps).max()) * max(*dsm.size, *confidence.size)
+    apart = max(abs(column - round(column)), abs(row - round(row)), drift / side)
+    other = whole and (round(column), round(row), confidence.size) != (0, 0, dsm.size)
+    if other or apart > 1e-2 or (dsm.wkt and confidence.wkt and dsm.flat.crs != confidence.flat.crs):
+        raise ImageError(
+            f"The confidence raster '{confidence.path}' does not have the cells of the DSM '{dsm.path}': give the one "
+            f"that was written with this DSM, or leave {option} empty."
+        )
+    return round(column), round(row)
+
+
+def _counts(heights: gdal.Dataset, errors: gdal.Dataset, band: int, place: Tuple[int, int]) -> Tuple[int, int, int]:
+    """Of evenly spaced rows: cells with a height, those of them with an expected error, and errors without a height."""
+    columns, rows = heights.RasterXSize, heights.RasterYSize
+    known = stated = alone = 0
+    for row in np.unique(np.linspace(0, rows - 1, min(rows, _ROWS)).astype(int)):
+        has = np.isfinite(read_heights(heights, Window(0, int(row), columns, 1))[0])
+        says = np.zeros(columns, bool)
+        own = Window(place[0], 0, errors.RasterXSize, 1).common(Window(0, 0, columns, 1))
+        there = int(row) - place[1]
+        if own is not None and own.width > 0 and 0 <= there < errors.RasterYSize:
+            window = Window(own.col - place[0], there, own.width, 1)
+            says[own.col : own.col + own.width] = np.isfinite(read_values(errors, window, band)[0])
+        known, stated, alone = (
+            total + int(cells.sum()) for total, cells in ((known, has), (stated, has & says), (alone, says & ~has))
+        )
+    return known, stated, alone
+
+
+def terrain_findings(dsm: str, terrain: str, parameters: GateParameters = GATE) -> List[Finding]:
+    """What is to be known of a terrain that is used below a DSM: how much of it there is, and whether the two lie at
+    the same height.
+
+    Raises ImageError for one that cannot be used, OverlapError where it lies elsewhere.
+    """
+    with opened(dsm) as heights, opened(terrain) as ground:
+        grid = Grid.of(heights)
+        warper = HeightWarper(ground, grid)
+        overlap(Grid.of(ground), grid)
+        above, known = _above(heights, grid, warper)
+    findings = list(warper.warnings)
+    covered = above.size / max(known, 1)
+    if covered < 1.0 - parameters.most_uncovered:
+        text = f"The terrain '{terrain}' covers {_percent(covered)} of the heights of '{dsm}'"
+        findings.append(
+            Finding("terrain-partial", f"{text}: nothing is found elsewhere, and what its edge cuts is wrong.")
+        )
+    if above.size:
+        low, middle = np.percentile(above, (parameters.ground_percent, 50.0))
+        if low > parameters.most_off_m or middle < -parameters.most_off_m:
+            off = mode(above, parameters.mode_share)
+            text = (
+                f"The terrain '{terrain}' lies {abs(off):.1f} m {'below' if off > 0 else 'above'} the ground of '{dsm}'"
+            )
+            remedy = "check that both have the same vertical datum and unit, and show the same place"
+            findings.append(Finding("terrain-off", f"{text}: {remedy}.", "doubt"))
+    return findings
+
+
+def _above(heights: gdal.Dataset, grid: Grid, warper: HeightWarper) -> Tuple[FloatArray, int]:
+    """(N,) how far a DSM lies above a terrain in samples of it, m; and how many heights the samples have."""
+    parts, known = [np.empty(0)], 0
+    for window in sample_windows(grid, grid.bounds, EVALUATION.comparison):
+        surface = read_heights(heights, window)
+        above = surface - warper.read(grid.window(window))
+        known += int(np.isfinite(surface).sum())
+        parts.append(above[np.isfinite(above)].astype(np.float64))
+    return np.concatenate(parts), known
+
+
+def picture_findings(dsm: str, picture: str, share: float, parameters: GateParameters = GATE) -> List[Finding]:
+    """What is to be known of a picture that is draped over a DSM, of whose heights it shows this share."""
+    if share >= 1.0 - parameters.most_uncovered:
+        return []
+    text = f"The picture '{picture}' shows {_percent(share)} of the heights of '{dsm}'"
+    return [Finding("picture-partial", f"{text}: the rest has no colours.")]
+
+
+def share_under(picture: Grid, dsm: Grid) -> float:
+    """The share of a DSM's extent that lies in a picture's; raises OverlapError where it lies elsewhere."""
+    outer, inner = bounds_on(picture, dsm) if picture.wkt and dsm.wkt else picture.bounds, dsm.bounds
+    width, height = (min(outer[i + 2], inner[i + 2]) - max(outer[i], inner[i]) for i in (0, 1))
+    share = max(width, 0.0) * max(height, 0.0) / ((inner.xmax - inner.xmin) * (inner.ymax - inner.ymin))
+    if not share > 0.0:
+        raise OverlapError(
+            f"The orthophoto '{picture.path}' does not lie over the DSM '{dsm.path}': choose the one of the same place."
+        )
+    return share
+
+
+def _percent(share: float) -> str:
+    """A share as text, never 0 or 100 where it is not."""
+    percent = 100.0 * share
+    if 0.0 < percent < 0.1:
+        return "less than 0.1 %"
+    return f"{min(percent, 99.9):.1f} %" if share < 1.0 else "100 %"

@@ -1,0 +1,23 @@
+"""The bounds beyond which what is used together does not fit together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..contracts.parameters import Parameters
+
+
+@dataclass(frozen=True)
+class GateParameters(Parameters):
+    """Values without a source are chosen: what our own products keep, with room for a cell at edges and holes."""
+
+    most_unstated: float = 5e-4  # share of a DSM's heights without an expected error
+    most_strange: float = 0.05  # share of expected errors without a height
+    most_uncovered: float = 0.01  # share of a DSM that a companion may leave out
+    ground_percent: float = 5.0  # of a DSM's heights, at least, lie on the ground
+    mode_share: float = 0.25  # of the differences, in the shortest interval that has so many: the ground
+    most_off_m: float = 3.0  # between a terrain and the ground of its DSM: geoids are tens of metres from the ellipsoid
+    least_year: int = 1957  # of the first satellite
+
+
+GATE = GateParameters()
