@@ -240,9 +240,13 @@ def _other_datum(found: FoundHeights, crs: str, chosen: HeightDatum) -> str:
         apart = math.nan
     if abs(apart) < _SAME_DATUM_M:
         return ""
-    by = f", which moves them by {apart:+.2f} m" if math.isfinite(apart) else ""
+    if math.isfinite(apart):
+        return (
+            f"'{found.name}' states that its heights refer to {stated.name}, and REFERENCE_DATUM says {chosen.name}, "
+            f"which moves them by {apart:+.2f} m: REFERENCE_DATUM is followed. Set it to auto unless the file is wrong."
+        )
     return (
-        f"'{found.name}' states that its heights refer to {stated.name}, and REFERENCE_DATUM says {chosen.name}{by}: "
+        f"'{found.name}' states that its heights refer to {stated.name}, and REFERENCE_DATUM says {chosen.name}: "
         "REFERENCE_DATUM is followed. Set it to auto unless the file is wrong."
     )
 

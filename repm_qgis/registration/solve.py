@@ -27,7 +27,6 @@ from .estimation import Correlation
 from .parameters import REGISTRATION, RegistrationParameters
 from .surfaces import Reference, SupportMeans
 
-
 _TUKEY_SCORES = 0.711
 """The mean square of normal residuals by Tukey's weights (limit 4.685), as a share of their weights'."""
 
