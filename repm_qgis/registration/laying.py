@@ -78,9 +78,10 @@ class Laid:
     other_datum: str = ""  # a sentence where the user's choice is not what the file states
 
     def cause(self, within_m: float, lon_lat: FloatArray) -> str:
-        """What a shift in height of more than ``within_m`` may come from, "" for a smaller one, and where unknown."""
+        """What a shift in height of more than ``within_m`` may come from, "" for a smaller one, one onto another relief,
+        and where unknown."""
         up = float(self.shift.moved[2])
-        if abs(up) <= within_m:
+        if abs(up) <= within_m or self.shift.other_relief is not None:
             return ""
         middle = float(np.median(self.reference.xyz[:, 2]))
         return likely_cause(-up, middle, float(lon_lat[0]), float(lon_lat[1]), within_m)
