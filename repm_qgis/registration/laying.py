@@ -78,9 +78,10 @@ class Laid:
     other_datum: str = ""  # a sentence where the user's choice is not what the file states
 
     def cause(self, within_m: float, lon_lat: FloatArray) -> str:
-        """What a shift in height of more than ``within_m`` may come from, "" for a smaller one, and where unknown."""
+        """What a shift in height of more than ``within_m`` may come from, "" for a smaller one, one onto another relief,
+        and where unknown."""
         up = float(self.shift.moved[2])
-        if abs(up) <= within_m:
+        if abs(up) <= within_m or self.shift.other_relief is not None:
             return ""
         middle = float(np.median(self.reference.xyz[:, 2]))
         return likely_cause(-up, middle, float(lon_lat[0]), float(lon_lat[1]), within_m)
@@ -240,9 +241,13 @@ def _other_datum(found: FoundHeights, crs: str, chosen: HeightDatum) -> str:
         apart = math.nan
     if abs(apart) < _SAME_DATUM_M:
         return ""
-    by = f", which moves them by {apart:+.2f} m" if math.isfinite(apart) else ""
+    if math.isfinite(apart):
+        return (
+            f"'{found.name}' states that its heights refer to {stated.name}, and REFERENCE_DATUM says {chosen.name}, "
+            f"which moves them by {apart:+.2f} m: REFERENCE_DATUM is followed. Set it to auto unless the file is wrong."
+        )
     return (
-        f"'{found.name}' states that its heights refer to {stated.name}, and REFERENCE_DATUM says {chosen.name}{by}: "
+        f"'{found.name}' states that its heights refer to {stated.name}, and REFERENCE_DATUM says {chosen.name}: "
         "REFERENCE_DATUM is followed. Set it to auto unless the file is wrong."
     )
 

@@ -27,6 +27,9 @@ from .estimation import Correlation
 from .parameters import REGISTRATION, RegistrationParameters
 from .surfaces import Reference, SupportMeans
 
+_TUKEY_SCORES = 0.711
+"""The mean square of normal residuals by Tukey's weights (limit 4.685), as a share of their weights'."""
+
 
 @dataclass(frozen=True)
 class Prior:
@@ -444,14 +447,19 @@ class _Problem:
         """(5, 5): the sandwich of the normal matrix and of the correlated noise of its right-hand side, of the heights
         that are used, summed up in a lattice of so many cells along a side."""
         instruments = solution.instruments[use] @ basis
-        weighted = instruments * (solution.weight / solution.noise**2)[use][:, None]
-        if normal is None:
+        weighted, more = instruments * (solution.weight / solution.noise**2)[use][:, None], np.ones(basis.shape[1])
+        scores = weighted * solution.noise[use][:, None]  # of a residual of one standard deviation
+        if normal is not None:
+            # Where slopes are steep, residuals are larger than their class says: their own scores count (White 1980).
+            real = ((weighted * solution.residual[use][:, None]) ** 2).sum(axis=0)
+            usual = _TUKEY_SCORES * (scores**2).sum(axis=0)
+            more = np.sqrt(np.maximum(real / np.maximum(usual, 1e-300), 1.0))
+        else:
             # Derivative of Tukey's psi: what a weight of residuals near the limit really counts.
             u = (solution.residual / solution.noise)[use] / self._parameters.tukey
             slope = (1 - u**2) * (1 - 5 * u**2) / solution.noise[use] ** 2
             normal = (instruments * slope[:, None]).T @ (solution.design[use] @ basis)
-        scores = weighted * solution.noise[use][:, None]  # of a residual of one standard deviation
-        middle = estimation.correlated_sum(scores, self._xyz[use, :2], correlation, lattice)
+        middle = estimation.correlated_sum(scores * more, self._xyz[use, :2], correlation, lattice)
         return estimation.sandwich(normal, middle, basis)
 
     def slope(self, solution: _Solution, basis: FloatArray, step_m: float) -> FloatArray:

@@ -223,8 +223,11 @@ def _work(
         parameters=parameters.fusion,
     )
     for later, first in reversed(copies(found, numbers)):
-        text = f"'{found[later].name}' has the same heights as '{found[first].name}': a copy is no second evidence, so "
-        progress.warn(Finding("reference-copied", text + "it is left out."))
+        text = (
+            f"'{found[later].name}' has the same heights as '{found[first].name}': a copy is no second evidence, so it "
+            "is left out."
+        )
+        progress.warn(Finding("reference-copied", text))
         del found[later]
     if options.stable:
         height[~stable_cells(options.stable, grid, scene.crs)] = np.nan

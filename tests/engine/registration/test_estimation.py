@@ -61,6 +61,7 @@ def reference(kind, rng, side=2.0):
 
 
 @pytest.mark.parametrize("kind", ("checker", "stripes", "rows", "lattice", "single"))
+@pytest.mark.long
 def test_gaps_of_a_reference_leave_no_direction_out(kind):
     """Without slopes beside gaps the height was spread over the position, and the scene moved by nothing."""
     rng = np.random.default_rng(1)
@@ -163,6 +164,7 @@ def test_a_copy_is_known_whatever_its_file_and_another_survey_is_none():
         (lambda z, rng: z / 0.3048, True),
     ),
 )
+@pytest.mark.long
 def test_a_reference_that_explains_nothing_is_named(change, named):
     """However level it is: it may be constant, or noise."""
     rng = np.random.default_rng(4)
@@ -175,6 +177,7 @@ def test_a_reference_that_explains_nothing_is_named(change, named):
     assert (solved.other_relief is not None) == named
 
 
+@pytest.mark.long
 def test_houses_on_a_plain_agree_with_its_bare_ground():
     rng = np.random.default_rng(5)
     grid = CellGrid(WEST, NORTH, CELL, (SIDE, SIDE))
@@ -190,6 +193,7 @@ def test_houses_on_a_plain_agree_with_its_bare_ground():
 
 
 @pytest.mark.parametrize("step", (1, 3, 8))
+@pytest.mark.long
 def test_a_raster_of_narrow_stripes_has_heights(step, tmp_path):
     """Blocks of 3 x 3 cells of which one column is known had too few of them: "no heights over the scene"."""
     rng = np.random.default_rng(6)
@@ -209,6 +213,7 @@ def test_a_raster_of_narrow_stripes_has_heights(step, tmp_path):
     assert (np.abs(solved.moved - MOVED) < [0.2, 0.2, 0.1]).all() and len(solved.determined) == 2
 
 
+@pytest.mark.long
 def test_an_alignment_takes_stripes_and_single_cells():
     """Of comparedsm and change: no cell had a gradient, and the alignment said that no cell had a height."""
     rng = np.random.default_rng(7)
@@ -222,6 +227,7 @@ def test_an_alignment_takes_stripes_and_single_cells():
         assert [found.dx, found.dy, found.dz] == pytest.approx(MOVED, abs=0.1)
 
 
+@pytest.mark.long
 def test_a_move_is_measured_again():
     from repm_qgis.geometry.vertical import HeightDatum
     from repm_qgis.registration.laying import Laid
