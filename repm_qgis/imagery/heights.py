@@ -28,7 +28,7 @@ _UNDECLARED = (-9999.0, -32768.0, -32767.0)
 """Numbers that writers mean as "none" although the file declares no nodata value, or another one."""
 _OURS = "REPM_ENGINE"  # a tag of all our rasters, whose voids are declared
 _STRIP_CELLS = 1 << 22  # that are read at once
-_SAMPLE_CELLS = 4000  # a side, that the share of voids is taken from
+_SAMPLES, _SAMPLE_CELLS = 8, 512  # windows along each side, and their sides: the share of voids is taken from them
 _CONSTANT_SHARE, _CONSTANT_GAP_M = 5e-4, 20.0  # of the heights, that are the same; and how far all others are
 _FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
 _UNITS = {
@@ -124,19 +124,24 @@ class StrayNumbers(NamedTuple):
 
 
 def stray_numbers(dataset: gdal.Dataset, band: int = 1) -> StrayNumbers:
-    """What a band has beside heights; of large rasters by evenly spread cells."""
+    """What a band has beside heights; of large rasters by evenly spread windows."""
     if dataset.GetMetadataItem(_OURS):
         return StrayNumbers()
-    size = min(dataset.RasterXSize, _SAMPLE_CELLS), min(dataset.RasterYSize, _SAMPLE_CELLS)
-    values = raster.read(dataset, None, band, size, nearest=True)
-    stated = np.isfinite(values)
     plain = scaling(dataset, band) == (1.0, 0.0) or dataset.GetRasterBand(band).GetNoDataValue() is None
-    marked = stated & np.isin(values, _UNDECLARED) & plain
-    heights = _possible(_scaled(values, to_metres(dataset, band)))
-    left = np.isfinite(heights)
-    share, constant_m = _constant(heights[left & ~marked])
-    impossible = float((stated & ~marked & ~left).mean())
-    return StrayNumbers(impossible, float(marked.mean()), share * float((left & ~marked).mean()), constant_m)
+    impossible = marks = cells = 0
+    parts = []
+    for window in _spread(Window(0, 0, dataset.RasterXSize, dataset.RasterYSize)):
+        values = raster.read(dataset, window, band)
+        stated = np.isfinite(values)
+        marked = stated & np.isin(values, _UNDECLARED) & plain
+        heights = _possible(_scaled(values, to_metres(dataset, band)))
+        left = np.isfinite(heights) & ~marked
+        parts.append(heights[left])
+        impossible += int((stated & ~marked & ~left).sum())
+        marks, cells = marks + int(marked.sum()), cells + values.size
+    known = np.concatenate(parts)
+    share, constant_m = _constant(known)
+    return StrayNumbers(impossible / cells, marks / cells, share * known.size / cells, constant_m)
 
 
 def _constant(heights: FloatImage) -> Tuple[float, float]:
@@ -150,6 +155,17 @@ def _constant(heights: FloatImage) -> Tuple[float, float]:
             if others.size and share > _CONSTANT_SHARE and abs(end(others) - value) > _CONSTANT_GAP_M:
                 return share, float(value)
     return 0.0, 0.0
+
+
+def _spread(whole: Window) -> Iterator[Window]:
+    """All of a raster, or a few windows on it."""
+    if whole.width * whole.height <= _SAMPLES**2 * _SAMPLE_CELLS**2:
+        yield from _strips(whole)
+        return
+    side = min(_SAMPLE_CELLS, whole.width), min(_SAMPLE_CELLS, whole.height)
+    for row in np.linspace(0, whole.height - side[1], _SAMPLES).astype(int):
+        for col in np.linspace(0, whole.width - side[0], _SAMPLES).astype(int):
+            yield Window(int(col), int(row), *side)
 
 
 def _strips(window: Window) -> Iterator[Window]:

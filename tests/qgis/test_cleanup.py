@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import os
+import pathlib
+import signal
+import subprocess
+import sys
 import time
+
+import pytest
 
 
 def test_only_the_stages_own_fresh_temporary_files_go(plugin, tmp_path):
@@ -57,3 +63,31 @@ def test_the_name_of_temporary_files_is_the_engines(plugin, tmp_path):
     half = temporary_name(str(target))
     open(half, "w").close()
     assert remove_half_written({"output": str(target)}, 0) == [half]
+
+
+_KILLED = """
+import os, signal, sys
+from repm_qgis.contracts.stages import STAGES
+from repm_qgis.runtime.together import together
+from repm_qgis.runtime.workspace import write_text
+from repm_qgis.stages import provisional
+options = STAGES["change"].options.from_json({"before": "b.tif", "after": "a.tif", "output": sys.argv[1]})
+with together(provisional("change", options)):
+    write_text(sys.argv[1], "new")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
+def test_what_a_killed_engine_had_replaced_comes_back(plugin, tmp_path):
+    from repm.processing_provider.engine import _give_back
+
+    from repm_qgis.contracts.stages import STAGES
+
+    output = tmp_path / "change.tif"
+    output.write_text("old")
+    root = pathlib.Path(__file__).parents[2]
+    assert subprocess.run([sys.executable, "-c", _KILLED, str(output)], cwd=root).returncode == -signal.SIGKILL
+    assert output.read_text() == "new"
+    _give_back(STAGES["change"], {"before": "b.tif", "after": "a.tif", "output": str(output)})
+    assert output.read_text() == "old" and [path.name for path in tmp_path.iterdir()] == ["change.tif"]
