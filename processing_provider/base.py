@@ -42,7 +42,7 @@ from .helptext import to_html
 from .kept import in_workspace
 from .language import language, said
 from .parameters import tr
-from .values import checked_value, destination, input_options, is_empty, raster_items
+from .values import absolute, checked_value, destination, input_options, is_empty, raster_items
 
 PLUGIN_FOLDER = engine.PLUGIN_FOLDER
 GROUPS = {
@@ -201,6 +201,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             if problem:
                 return False, problem
         from ..repm_qgis.contracts.errors import RepmError
+        from ..repm_qgis.stages.collisions import require_writable
         from ..repm_qgis.stages.early import require_sensible
 
         given = {
@@ -208,12 +209,23 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             for definition in self.parameterDefinitions()
             if definition.name().lower() not in self.left_to_engine(parameters)
         }
+        given.update(self._area(parameters, context))
         try:
-            options = self.complete(given)
-            engine.in_python_thread(lambda: require_sensible(self.stage().options.from_json(options)))
+            options = self.stage().options.from_json(self.complete(given))
+            require_writable(self.ID, options)
+            engine.in_python_thread(lambda: require_sensible(options))
         except RepmError as error:
             return False, said(str(error))
         return super().checkParameterValues(parameters, context)
+
+    def _area(self, parameters: JsonMapping, context: QgsProcessingContext) -> JsonObject:
+        """EXTENT as the engine takes it, where there is one: it says which part of the images will be read. QGIS itself
+        refuses one that is no extent."""
+        definition = self.parameterDefinition("EXTENT")
+        value = None if definition is None else parameters.get("EXTENT")
+        if is_empty(value) or not definition.checkValueIsAcceptable(value, context):
+            return {}
+        return input_options(self, definition, parameters, context)
 
     def _input_problem(
         self, definition: QgsProcessingParameterDefinition, value: object, context: QgsProcessingContext
@@ -334,7 +346,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             for definition in self.destinationParameterDefinitions()
         }
         options = dict(self._inputs)
-        options.update({name.lower(): os.path.abspath(path) if path else None for name, path in kept_as.items()})
+        options.update({name.lower(): absolute(path) if path else None for name, path in kept_as.items()})
         result = self.run_stage(self.complete(options), feedback)
         fields = result.to_mapping()
         made = {output.name(): fields[output.name().lower()] for output in self.outputDefinitions()}

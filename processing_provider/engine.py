@@ -176,8 +176,18 @@ def run_apart(
     try:
         return stage.result.from_mapping(_EngineProcess(stage.name, python, job).result(feedback))
     except QgsProcessingException:
+        _give_back(stage, options)
         remove_half_written(options, start)
         raise
+
+
+def _give_back(stage: Stage[Any], options: JsonMapping) -> None:
+    """Undo what an engine process that was killed has replaced: the products of a run appear together or not at all."""
+    from ..repm_qgis.runtime.together import recover
+    from ..repm_qgis.stages import provisional
+
+    with suppress(ValueError, OSError):  # options that the engine has refused, places that it cannot write
+        recover(provisional(stage.name, stage.options.from_json(options)))
 
 
 def find_python() -> str:

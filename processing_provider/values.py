@@ -14,6 +14,7 @@ from qgis.core import (
     QgsProcessingAlgorithm,
     QgsProcessingContext,
     QgsProcessingException,
+    QgsProcessingOutputLayerDefinition,
     QgsProcessingParameterDefinition,
     QgsProcessingParameterNumber,
     QgsProcessingUtils,
@@ -25,6 +26,7 @@ from qgis.core import (
 from qgis.PyQt.QtCore import QUrl, QUrlQuery, QVariant
 
 from ..repm_qgis.contracts.documents import JsonMapping, JsonObject
+from ..repm_qgis.contracts.formats import is_layer
 from .language import said
 
 
@@ -217,6 +219,8 @@ def checked_value(
         return given if isinstance(given, str) else algorithm.parameterAsString(parameters, name, context)
     if kind in ("extent", "crs"):
         return None
+    if isinstance(given, QgsProcessingOutputLayerDefinition):
+        given = given.sink.staticValue()
     if definition.isDestination() and (not isinstance(given, str) or given == QgsProcessing.TEMPORARY_OUTPUT):
         if definition.flags() & QgsProcessingParameterDefinition.Flag.FlagOptional:
             return None
@@ -253,6 +257,11 @@ def destination(
     if definition.type() in ("rasterDestination", "vectorDestination"):
         return algorithm.parameterAsOutputLayer(parameters, definition.name(), context) or ""
     return algorithm.parameterAsFileOutput(parameters, definition.name(), context) or ""
+
+
+def absolute(path: str) -> str:
+    """A destination's absolute path; that of a layer in a database or another file stays, for the engine to refuse."""
+    return path if is_layer(path) else os.path.abspath(path)
 
 
 def command_line(algorithm_id: str, options: JsonMapping) -> str:

@@ -29,10 +29,11 @@ from .contracts.errors import Cancelled, OptionError, RepmError
 from .contracts.results import Result
 from .runtime.imports import import_failure, is_import_failure
 from .runtime.parallel import end_workers
-from .runtime.process_limits import bound_cache, keep_freed_memory, one_thread_for_sums
+from .runtime.process_limits import bound_cache, keep_freed_memory, one_thread_for_sums, silence_gdal
 from .runtime.progress import JsonLines
 from .runtime.shortage import reserve_buffers, shortage_as_error
 from .runtime.standard_input import MAX_JOB_BYTES, VARIABLE, Beginning, first_line, watched
+from .runtime.together import undo_all
 from .runtime.translation import reader, written_in
 from .runtime.windows import end_children_with_us
 from .runtime.workspace import name_nothing_more, remove_own_temporaries
@@ -131,6 +132,7 @@ class Cancelling:
 
     def _end_now(self) -> None:
         end_workers()
+        undo_all()
         remove_own_temporaries()
         self._lines.last_words(type="error", kind="Cancelled", text=self._lines.translate(str(Cancelled())))
         os._exit(1)
@@ -168,6 +170,7 @@ def _run(asked: Asked, lines: JsonLines) -> Result:
     from .stages import run_stage
 
     bound_cache()
+    silence_gdal()
     reserve_buffers()
     stage, job = asked()
     with written_in(job.pop("language", None), job.pop("labels", None)):

@@ -97,7 +97,8 @@ class View(Record):
     UTC, and ``sensor`` by which satellite (a name of ``imagery/sensors.py``), "" where they are unknown. ``mask`` is a
     raster of the image's size whose pixels that are neither zero nor nodata are not to be used, "" where there is none.
     ``part`` is the window that shows the area of the run, None for the whole image: statistics are taken there.
-    ``content`` is a digest that distinguishes the image from another one with its name, "" where there is none.
+    ``content`` is a digest that distinguishes the image from another one with its name, "" where there is none, and
+    ``stated`` one of the RPC in the scene's file, by which a change there is seen; "" elsewhere.
     ``plane`` is the map that an ortho-ready image was projected to, None for an image in its sensor's geometry: then
     ``rpc`` gives lines of sight only, and ``model`` the pixels. ``jitter`` are waves of the attitude, which come on top
     of the pointing; None where none are known.
@@ -118,8 +119,14 @@ class View(Record):
     content: str = ""
     plane: Optional[MapPlane] = None
     jitter: Optional[Jitter] = None
+    stated: str = ""
+
+    def to_mapping(self) -> JsonObject:
+        return {**super().to_mapping(), "stated": self.rpc.digest}
 
     def contradiction(self) -> str:
+        if self.stated not in ("", self.rpc.digest):
+            return f"has an RPC that is not the one which was read from '{self.image}'"
         turned = abs(np.linalg.det(self.pointing[:, :2]))
         if not 0.5 < turned < 2.0:
             return "has a pointing that is too large for a correction"

@@ -79,7 +79,7 @@ def _table(page: Report, found: FoundBuildings) -> None:
 
 
 def _picture(found: FoundBuildings) -> tuple[ByteImage, float, float]:
-    surface, cell = pictures.preview(found.surface.path, _PICTURE_PX)
+    surface, cell = pictures.preview(found.surface.path, _PICTURE_PX, heights=True)
     heights = _heights_on(found, surface.shape)
     low, high = 0.0, max(pictures.percentile_range(heights)[1], 1.0)
     colours = pictures.colour_map(heights, low, high, "viridis")

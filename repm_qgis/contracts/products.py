@@ -146,7 +146,8 @@ class Product:
     ``wanted``: whether it is written always, unless the user skips it, or on request. ``style`` is its kind of layer,
     "" for none, ``layer`` the layer's name where that is not the title. ``filter`` are a file's types in dialogs.
     ``tiled``: where a raster's name ends in .vrt, it is a VRT with a folder of tiles (:func:`tiles_folder`).
-    ``maker`` is the module of :mod:`repm_qgis.solids` that makes it from the finished DSM, "" where its stage does.
+    ``several``: a raster with more than one band. ``maker`` is the module of :mod:`repm_qgis.solids` that makes it from
+    the finished DSM, "" where its stage does.
     """
 
     stage: str
@@ -160,6 +161,7 @@ class Product:
     maker: str = ""
     help: str = ""
     tiled: bool = False
+    several: bool = False
 
 
 _HTML = "HTML (*.html)"
@@ -251,11 +253,12 @@ PRODUCTS = (
         UNLESS_SKIPPED,
         "differences",
         help=_DIFFERENCES,
+        several=True,
     ),
     Product("register", "offsets", "Offsets of the scene's parts", POINTS, UNLESS_SKIPPED, "offsets", help=_OFFSETS),
     Product("dsmfuse", "output", "DSM", RASTER, ALWAYS, "dsm", help=_DSM),
-    Product("dsmfuse", "confidence", "Confidence", RASTER, style="confidence", help=_CONFIDENCE),
-    Product("dsmfuse", "ortho", "Orthophoto", RASTER, style="ortho", help=_ORTHO),
+    Product("dsmfuse", "confidence", "Confidence", RASTER, style="confidence", help=_CONFIDENCE, several=True),
+    Product("dsmfuse", "ortho", "Orthophoto", RASTER, style="ortho", help=_ORTHO, several=True),
     Product("dsmfuse", "water_mask", "Water", RASTER, style="water", help=_WATER_MASK),
     Product("dsmfuse", "cloud", "Point cloud", FILE, filter="LAZ (*.laz);;LAS (*.las);;PLY (*.ply)", help=_CLOUD),
     Product("dsmfuse", "ept", _EPT_TITLE, BUILT_FOLDER, style="ept", layer="Point cloud", maker="ept", help=_EPT),
@@ -273,7 +276,9 @@ PRODUCTS = (
     Product("dsmfuse", "viewer", "Surface in the browser (3-D)", FILE, filter=_HTML, help=_VIEWER),
     Product("dsmfuse", "stac", "STAC item for catalogues", FILE, filter="STAC (*.json)", help=_STAC),
     Product("mosaic", "output", "DSM", RASTER, ALWAYS, "dsm", "DSM mosaic", help=_MOSAIC, tiled=True),
-    Product("mosaic", "sources", "Sources of the mosaic", RASTER, style="sources", help=_SOURCES, tiled=True),
+    Product(
+        "mosaic", "sources", "Sources of the mosaic", RASTER, style="sources", help=_SOURCES, tiled=True, several=True
+    ),
     Product("dtm", "output", "Terrain (DTM)", RASTER, ALWAYS, "dsm", help=_TERRAIN),
     Product(
         "dtm", "heights", "Heights above the terrain", RASTER, UNLESS_SKIPPED, "object_heights", help=_OBJECT_HEIGHTS
@@ -289,8 +294,9 @@ PRODUCTS = (
         RASTER,
         style="confidence",
         help=_EDITED_CONFIDENCE,
+        several=True,
     ),
-    Product("errormap", "output", "Equivalent error", RASTER, ALWAYS, "error", help=_ERROR_MAP),
+    Product("errormap", "output", "Equivalent error", RASTER, ALWAYS, "error", help=_ERROR_MAP, several=True),
     Product("exportcameras", "folder", "Folder", FOLDER, ALWAYS, help=_EXPORTED),
     Product("exportrpc", "rpc_folder", "Folder for the corrected RPCs", BUILT_FOLDER, ALWAYS, help=_RPCS),
     Product("comparedsm", "error", "Height error", RASTER, UNLESS_SKIPPED, "dsm_error", help=_HEIGHT_ERROR),
@@ -305,11 +311,20 @@ PRODUCTS = (
         help=_CHECKED,
     ),
     Product("change", "output", "Difference of the dates", RASTER, ALWAYS, "change", help=_CHANGE),
-    Product("change", "significant", "Significant change", RASTER, UNLESS_SKIPPED, "significant", help=_SIGNIFICANT),
+    Product(
+        "change",
+        "significant",
+        "Significant change",
+        RASTER,
+        UNLESS_SKIPPED,
+        "significant",
+        help=_SIGNIFICANT,
+        several=True,
+    ),
     Product("change", "volumes", "Volumes of the changes", POLYGONS, UNLESS_SKIPPED, "volumes", help=_VOLUMES),
-    Product("series", "output", "Heights of all dates", RASTER, ALWAYS, "stack", help=_STACK),
-    Product("series", "trend", "Trend", RASTER, UNLESS_SKIPPED, "trend", help=_TREND),
-    Product("series", "changed", "Dates of change", RASTER, UNLESS_SKIPPED, "changed", help=_CHANGED),
+    Product("series", "output", "Heights of all dates", RASTER, ALWAYS, "stack", help=_STACK, several=True),
+    Product("series", "trend", "Trend", RASTER, UNLESS_SKIPPED, "trend", help=_TREND, several=True),
+    Product("series", "changed", "Dates of change", RASTER, UNLESS_SKIPPED, "changed", help=_CHANGED, several=True),
     Product("series", "volumes", "Volumes over time", POLYGONS, UNLESS_SKIPPED, "volumes", help=_OVER_TIME),
     Product("series", "layers", "Layers of the dates", BUILT_FOLDER, UNLESS_SKIPPED, help=_LAYERS),
     Product("series", "table", "Table of the volumes", FILE, filter="CSV (*.csv)", help=_TABLE),

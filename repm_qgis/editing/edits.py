@@ -14,6 +14,8 @@ from osgeo import ogr
 
 from ..contracts.errors import InputTableError
 from ..files.vector import file_and_layer, open_layer, write_layer
+from ..imagery.heights import HIGHEST_M, LOWEST_M
+from ..imagery.raster import NODATA
 
 OPERATIONS = ("remove", "fill", "set", "flatten", "breakline")
 """What an edit does: removes heights, fills from the rim, sets a value, flattens water, keeps a breakline."""
@@ -21,7 +23,6 @@ OPERATIONS = ("remove", "fill", "set", "flatten", "breakline")
 FIELDS: Dict[str, type] = {"number": int, "operation": str, "value": float, "width": float, "enabled": int, "made": str}
 MOST_WIDTH_M = 10_000.0
 _MOST_EDITS, _MOST_VERTICES = 10_000, 200_000
-_HEIGHTS = (-12_000.0, 10_000.0)
 _LINES = (ogr.wkbLineString, ogr.wkbMultiLineString)
 _AREAS = (ogr.wkbPolygon, ogr.wkbMultiPolygon)
 
@@ -107,9 +108,12 @@ def _edit(path: str, feature: ogr.Feature, places: Dict[str, int], index: int) -
     wkb = _checked(path, number, operation, geometry, width)
     if operation == "set" and value is None:
         raise InputTableError(f"Edit {number} of '{path}' sets a value and has none: give its field 'value' in metres.")
-    if value is not None and not _HEIGHTS[0] <= value <= _HEIGHTS[1]:
-        limits = f"{_HEIGHTS[0]:g} to {_HEIGHTS[1]:g}"
+    if value is not None and not LOWEST_M <= value <= HIGHEST_M:
+        limits = f"{LOWEST_M:g} to {HIGHEST_M:g}"
         raise InputTableError(f"Edit {number} of '{path}' has the value {value:g}: heights are {limits} m.")
+    if value == NODATA:
+        remedy = "choose 'remove' for an edit that takes heights away"
+        raise InputTableError(f"Edit {number} of '{path}' has the value {value:g}, which means no height: {remedy}.")
     return Edit(number, operation, wkb, value, width, enabled is None or bool(enabled), str(field("made") or ""))
 
 

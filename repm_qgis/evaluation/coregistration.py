@@ -197,8 +197,9 @@ def _thinned(dsm: Floats, reference: Floats, dc: int, dr: int, step: int) -> Flo
 def _nuth_kaab(
     patches: Sequence[Patch], start: FloatArray, parameters: CoregistrationParameters, check: Check
 ) -> FloatArray:
-    """Columns and rows by robust Gauss-Newton steps from ``start``; the gradient is the reference's."""
-    gradients = [_gradient(reference) for _, reference in patches]
+    """Columns and rows by robust Gauss-Newton steps from ``start``; the gradient is the reference's, over its gaps too:
+    stripes and single cells have none of their own."""
+    gradients = [_gradient(_filled(reference)) for _, reference in patches]
     shift = start
     for _ in range(parameters.iterations):
         check()
@@ -285,11 +286,27 @@ def _gradient(z: Floats) -> Tuple[Floats, Floats]:
 
 def _smoothed(array: Floats) -> FloatImage:
     """Binomial 5 x 5 smoothing of the known cells; holes have no weight, so that no cells around them are lost."""
+    mean, share = _binomial(array)
+    good = np.isfinite(array)
+    kept = good & (share > 0.5)
+    if kept.sum() < 0.5 * good.sum():  # stripes or single cells: none has more of its window
+        kept = good
+    return np.where(kept, mean, np.nan).astype(np.float32)
+
+
+def _filled(array: Floats) -> FloatImage:
+    """The same surface, with its narrow gaps filled by means of the cells around."""
+    mean, share = _binomial(array)
+    return np.where(np.isfinite(array), array, np.where(share > 0, mean, np.nan)).astype(np.float32)
+
+
+def _binomial(array: Floats) -> Tuple[FloatImage, FloatImage]:
+    """Means of the known cells by binomial 5 x 5 weights, and the share of these weights."""
     z = np.asarray(array, np.float32)
     good = np.isfinite(z)
     level = np.float32(z[good].mean()) if good.any() else np.float32(0)
     mean, share = mean_of_known(z - level, good, lambda image: _convolved(_convolved(image, 0), 1), 1e-6)
-    return np.where(good & (share > 0.5), mean + level, np.nan).astype(np.float32)
+    return mean + level, share
 
 
 def _convolved(array: FloatImage, axis: int) -> FloatImage:

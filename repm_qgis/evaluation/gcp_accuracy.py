@@ -18,6 +18,7 @@ from ..contracts.arrays import FloatArray, Mask
 from ..contracts.checks import as_text
 from ..contracts.findings import Finding
 from ..geometry.frames import EnuFrame, flat_crs, on_earth, vertical_part
+from ..geometry.height_causes import likely_cause
 from ..numerics.accuracy import distances, le90
 from ..numerics.robust import nmad
 from ..pointing.ground_control import Gcp, intersect, residuals
@@ -193,7 +194,7 @@ def measure_dsm(found: GcpAccuracy, dsm: gdal.Dataset, points: str, parameters: 
     found.errors["dsm"][:, 2] = heights - [gcp.height for gcp in found.gcps]
     found.warnings += _datum_warnings(dsm, grid, warper)
     found.warnings += _missing(found, grid, places, ~np.isfinite(heights))
-    _warn_of_geoid(found, parameters)
+    _warn_of_heights(found, parameters)
 
 
 def _datum_warnings(dsm: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List[Finding]:
@@ -231,13 +232,23 @@ def _missing(found: GcpAccuracy, grid: Grid, places: FloatArray, none: Mask) -> 
     return warnings
 
 
-def _warn_of_geoid(found: GcpAccuracy, parameters: GcpParameters) -> None:
-    """Errors of the same tens of metres at all points are rarely an accident."""
-    up = found.errors["dsm"][np.isfinite(found.errors["dsm"][:, 2]), 2]
-    if len(up) >= 3:
-        middle = float(np.median(up))
-        if abs(middle) > max(parameters.geoid_m, parameters.geoid_times * nmad(up)):
-            text = (
-                f"The DSM's heights differ from the points' by {middle:+.1f} m as a whole, which is usually a geoid: "
-            )
-            found.warnings.append(Finding("geoid-likely", text + "check GCP_DATUM and the DSM's vertical datum."))
+def _warn_of_heights(found: GcpAccuracy, parameters: GcpParameters) -> None:
+    """Errors of the same metres at all points are rarely an accident, where they are those of feet or of a geoid."""
+    known = np.isfinite(found.errors["dsm"][:, 2])
+    up = found.errors["dsm"][known, 2]
+    if len(up) < 3:
+        return
+    middle, spread = float(np.median(up)), parameters.geoid_times * nmad(up)
+    if abs(middle) <= max(parameters.least_off_m, spread):
+        return
+    lon, lat, height = np.median([gcp.lon_lat_h for gcp, yes in zip(found.gcps, known) if yes], axis=0)
+    cause = likely_cause(middle, float(height), float(lon), float(lat), max(parameters.least_off_m / 2.0, spread))
+    if cause:
+        text = (
+            f"The DSM's heights differ from the points' by {middle:+.1f} m as a whole, which is usually a geoid or a "
+            f"unit. The points' would change by {cause}: check their unit, GCP_DATUM and the DSM's vertical datum."
+        )
+        found.warnings.append(Finding("geoid-likely", text, "doubt"))
+    elif abs(middle) > parameters.geoid_m:
+        text = f"The DSM's heights differ from the points' by {middle:+.1f} m as a whole, which is usually a geoid: "
+        found.warnings.append(Finding("geoid-likely", text + "check GCP_DATUM and the DSM's vertical datum."))

@@ -76,6 +76,7 @@ class GcpParameters(Parameters):
 
     wrong_px: float = 1.5  # least residual of a wrong control point: a shift explains less than an adjustment does
     wrong_times: float = 4.0  # how many NMADs of all points' residuals it must have, too
+    least_off_m: float = 2.0  # a median error from here on is a unit or a datum, where one of them explains it
     geoid_m: float = 10.0  # a median error from here on is usually a geoid ...
     geoid_times: float = 5.0  # ... where it is more than so many NMADs
 

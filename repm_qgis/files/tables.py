@@ -4,12 +4,13 @@ error."""
 from __future__ import annotations
 
 import csv
+import io
 import math
 import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Dict, Iterator, List, Mapping, Optional, Tuple
+from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 import pyproj
 from osgeo import gdal, ogr
@@ -24,7 +25,15 @@ from .vector import open_layer
 _INDEXED = (".gpkg", ".shp", ".fgb", ".sqlite", ".gdb")  # read row by row, and know how many there are
 _DELIMITERS = ",;\t"
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
-_COMMA = re.compile(r"[+-]?\d+,\d+")
+_UNIT = r"(?:\s*(?:°|º|deg|degrees?))"
+_COMMA = re.compile(rf"[+-]?\d*,\d+{_UNIT}?", re.IGNORECASE)
+_POINT = re.compile(rf"[+-]?\d*\.\d+{_UNIT}?", re.IGNORECASE)
+_SEPARATOR = re.compile(r"sep=(.)\s*", re.IGNORECASE)  # the first line that spreadsheets write and read
+_DEGREES = re.compile(rf"(.+?){_UNIT}", re.IGNORECASE)
+_ANGLES = ("lon", "lat", "long", "lng", "longitude", "latitude")
+# What spreadsheets take for a formula, whoever wrote the text (OWASP, CSV injection); a quote makes it a text.
+_FORMULA = re.compile(r"[=+\-@\t\r]")
+_QUOTED = re.compile(r"'[=+\-@\t\r]")
 
 
 def number_in(place: str, name: str, value: object) -> float:
@@ -33,6 +42,8 @@ def number_in(place: str, name: str, value: object) -> float:
     Python's own reading also accepts forms that users do not mean: 1_000, or digits of other scripts.
     """
     text = str(value).strip()
+    degrees = _DEGREES.fullmatch(text) if name in _ANGLES else None
+    text = degrees[1] if degrees else text
     if isinstance(value, (int, float)) or _NUMBER.fullmatch(text):
         return float(text)
     remedy = "; write decimals with a point" if _COMMA.fullmatch(text) else ""
@@ -66,25 +77,62 @@ class Limits:
             raise InputTableError(f"'{path}' has more than {self.rows} rows: choose {self.what}, or a part of it.")
 
 
+def csv_text(rows: Iterable[Sequence[object]]) -> str:
+    """Rows as CSV with commas, one a line. A text that a spreadsheet would run as a formula gets a quote before it,
+    which :class:`CsvTable` takes off again; numbers stay numbers."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    for row in rows:
+        writer.writerow([_harmless(cell) if isinstance(cell, str) else cell for cell in row])
+    return text.getvalue()
+
+
+def _harmless(text: str) -> str:
+    return f"'{text}" if _FORMULA.match(text) and not _NUMBER.fullmatch(text) else text
+
+
 class CsvTable:
-    """A CSV file in UTF-8 whose first line names the fields; they are read in lower case."""
+    """A CSV file in UTF-8 whose first line names the fields, after a line ``sep=;`` if there is one; they are read in
+    lower case. Where a semicolon or a tabulator parts the fields, decimals may have a comma."""
 
     def __init__(self, path: str) -> None:
         """Raises InputTableError where the file cannot be read."""
         self._path = path
         with self._sentences(), open(path, encoding="utf-8-sig", newline="") as stream:
             head = stream.readline(1 << 16)
+            stated = _SEPARATOR.fullmatch(head)
+            head = stream.readline(1 << 16) if stated else head
+            self._first = 2 if stated else 1  # the line with the fields' names
             self._delimiter = max(_DELIMITERS, key=head.count)  # the first of those that are as frequent
-            if self._delimiter not in head:
+            if stated:
+                self._delimiter = stated[1]
+            elif self._delimiter not in head:
                 self._delimiter = " "
             self.fields = [(name or "").strip().lower() for name in next(self._reader(iter([head])), [])]
 
     def rows(self) -> Iterator[Tuple[int, Mapping[str, object]]]:
-        """Each row's number in the file, the fields' names being 1, and its texts; None where it is too short."""
+        """Each row's number in the file, the first line being 1, and its texts; None where it is too short.
+
+        Raises InputTableError where some numbers have a decimal comma and others a point: either may part thousands.
+        """
+        commas, points = 0, 0
         with self._sentences(), open(self._path, encoding="utf-8-sig", newline="") as stream:
             reader = self._reader(stream)
-            next(reader, None)
-            for line, values in enumerate((row for row in reader if row), start=2):
+            for _ in range(self._first):
+                next(reader, None)
+            for line, row in enumerate((row for row in reader if row), start=self._first + 1):
+                values = [text[1:] if text and _QUOTED.match(text) else text for text in row]
+                if self._delimiter in ";\t":
+                    commas = commas or line * any(bool(text and _COMMA.fullmatch(text.strip())) for text in values)
+                    points = points or line * any(bool(text and _POINT.fullmatch(text.strip())) for text in values)
+                    if commas and points:
+                        raise InputTableError(
+                            f"'{self._path}' has numbers with a decimal comma (row {commas}) and with a point (row "
+                            f"{points}): write all decimals alike."
+                        )
+                    values = [
+                        text.replace(",", ".") if text and _COMMA.fullmatch(text.strip()) else text for text in values
+                    ]
                 values += [None] * (len(self.fields) - len(values))
                 yield line, dict(zip(self.fields, values))
 

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import suppress
 from pathlib import Path
-from typing import Iterable, Mapping, Optional, Sequence, Tuple
+from typing import Iterable, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import gdal, ogr, osr
 
 from ..contracts.arrays import FloatArray
 from ..contracts.errors import InputTableError, WorkspaceError
+from ..contracts.formats import GEOPACKAGE, vector_format
 from ..contracts.records import GroundShift
 from ..runtime.workspace import not_written, take_name, temporary_folder
 from .untrusted import VECTORS, drivers_for, refusal_of
 
-_DRIVERS = {".gpkg": "GPKG", ".geojson": "GeoJSON", ".json": "GeoJSON", ".shp": "ESRI Shapefile", ".fgb": "FlatGeobuf"}
+_MARK = "Written by REPM"  # the description of layers of ours in GeoPackages
 Features = Iterable[Tuple[ogr.Geometry, Sequence[object]]]
 """Geometries with their values, in the order of the fields; None leaves a field empty."""
 _TYPES = {str: ogr.OFTString, int: ogr.OFTInteger, float: ogr.OFTReal}
@@ -59,6 +61,30 @@ def open_layer(file: str, name: str = "") -> Tuple[Optional[gdal.Dataset], Optio
     if layer is None:
         raise InputTableError(f"'{file}' has no layer '{name}': choose an existing one.")
     return source, layer
+
+
+def strangers_in(path: str) -> List[str]:
+    """The layers and rasters in a GeoPackage that replacing it would lose: those that this module has not written.
+    Empty for other files, and where there is none."""
+    names: List[str] = []
+    if vector_format(path).driver != GEOPACKAGE or not os.path.isfile(path):
+        return names
+    gdal.PushErrorHandler("CPLQuietErrorHandler")
+    try:
+        for kind in (gdal.OF_VECTOR, gdal.OF_RASTER):
+            with suppress(RuntimeError):  # it has none of the kind, or is damaged
+                source = gdal.OpenEx(path, kind | gdal.OF_READONLY, allowed_drivers=[GEOPACKAGE])
+                if source is not None and kind == gdal.OF_VECTOR:
+                    layers = [source.GetLayer(index) for index in range(source.GetLayerCount())]
+                    names += [each.GetName() for each in layers if each.GetMetadataItem("DESCRIPTION") != _MARK]
+                    layers = None
+                elif source is not None:
+                    parts = [name.rsplit(":", 1)[-1] for name, _ in source.GetSubDatasets()]
+                    names += parts or [source.GetMetadataItem("IDENTIFIER") or "a raster"]
+                source = None
+    finally:
+        gdal.PopErrorHandler()
+    return names
 
 
 def read_points(path: str, fields: Sequence[str], most: int = 1 << 40) -> FloatArray:
@@ -112,8 +138,12 @@ def write_layer(path: str, crs: str, geometry_type: int, fields: Mapping[str, ty
     """Write a vector layer in the format of the file's extension (GeoPackage where it has none we know).
 
     ``crs`` is any text PROJ understands, ``geometry_type`` ``ogr.wkbPolygon``, ``ogr.wkbPoint``, ...; ``fields`` has
-    names and types (str, int, float), in order. Raises WorkspaceError where the file cannot be written.
+    names and types (str, int, float), in order. Raises WorkspaceError where the file cannot be written, or holds other
+    layers.
     """
+    others = [name for name in strangers_in(path) if name != _layer_name(Path(path).stem)]
+    if others:
+        raise WorkspaceError(f"'{path}' holds '{others[0]}', which would be lost: choose another file.")
     gdal.PushErrorHandler("CPLQuietErrorHandler")
     try:
         with temporary_folder(path) as folder:  # some formats are several files
@@ -129,7 +159,8 @@ def write_layer(path: str, crs: str, geometry_type: int, fields: Mapping[str, ty
 
 
 def _fill(target: Path, crs: str, geometry_type: int, fields: Mapping[str, type], features: Features) -> None:
-    driver = ogr.GetDriverByName(_DRIVERS.get(target.suffix.lower(), "GPKG"))
+    name = vector_format(str(target)).driver
+    driver, options = ogr.GetDriverByName(name), [f"DESCRIPTION={_MARK}"] if name == GEOPACKAGE else []
     source = driver.CreateDataSource(str(target))
     _see(source is not None)
     reference = osr.SpatialReference()
@@ -137,7 +168,7 @@ def _fill(target: Path, crs: str, geometry_type: int, fields: Mapping[str, type]
     reference.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)
     layer = feature = None
     try:
-        layer = source.CreateLayer(_layer_name(target.stem), reference, geometry_type)
+        layer = source.CreateLayer(_layer_name(target.stem), reference, geometry_type, options)
         _see(layer is not None)
         for field, kind in fields.items():
             layer.CreateField(ogr.FieldDefn(field, _TYPES[kind]))

@@ -8,10 +8,10 @@ import numpy as np
 from osgeo import gdal
 
 from ..contracts.arrays import FloatArray, Window
-from ..contracts.errors import ImageError
+from ..contracts.errors import ImageError, OverlapError
 from ..contracts.findings import Finding
 from ..evaluation.comparison import sample_windows
-from ..evaluation.grids import Grid, HeightWarper, overlap
+from ..evaluation.grids import Grid, HeightWarper, bounds_on, overlap
 from ..evaluation.parameters import EVALUATION
 from ..imagery.confidence import confidence_bands
 from ..imagery.heights import read_heights, read_values
@@ -133,9 +133,14 @@ def picture_findings(dsm: str, picture: str, share: float, parameters: GateParam
 
 def share_under(picture: Grid, dsm: Grid) -> float:
     """The share of a DSM's extent that lies in a picture's; raises OverlapError where it lies elsewhere."""
-    common, own = overlap(picture, dsm), dsm.bounds
-    covered = (common.xmax - common.xmin) * (common.ymax - common.ymin)
-    return covered / ((own.xmax - own.xmin) * (own.ymax - own.ymin))
+    outer, inner = bounds_on(picture, dsm) if picture.wkt and dsm.wkt else picture.bounds, dsm.bounds
+    width, height = (min(outer[i + 2], inner[i + 2]) - max(outer[i], inner[i]) for i in (0, 1))
+    share = max(width, 0.0) * max(height, 0.0) / ((inner.xmax - inner.xmin) * (inner.ymax - inner.ymin))
+    if not share > 0.0:
+        raise OverlapError(
+            f"The orthophoto '{picture.path}' does not lie over the DSM '{dsm.path}': choose the one of the same place."
+        )
+    return share
 
 
 def _percent(share: float) -> str:

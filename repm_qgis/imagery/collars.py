@@ -1,15 +1,17 @@
-"""Black collars and stripes that no nodata value marks: found from an image's ends, and left out by a mask.
+"""Collars and stripes that no nodata value marks: found from an image's ends, and left out by a mask.
 
-Vendors pad images with zeros, and lossy compression makes ones, twos and threes of them. Where neither a nodata value
-nor a mask marks them, they count as black ground: the altitude sweep finds false matches there, and the stretch of
-intensities is distorted.
+Vendors pad images with zeros, and lossy compression makes ones, twos and threes of them; other software pads with
+-9999, 65535 or any other value. Where neither a nodata value nor a mask marks them, they count as ground: the altitude
+sweep finds false matches there, and the stretch of intensities is distorted.
 """
 
 from __future__ import annotations
 
+import math
 import os
 from contextlib import suppress
-from typing import Callable, Iterator, Optional, Tuple
+from dataclasses import replace
+from typing import Callable, Counter, Iterator, List, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -27,20 +29,25 @@ def write_collar_mask(
     check: Callable[[], None] = lambda: None,
     parameters: CollarParameters = COLLARS,
     part: Optional[Window] = None,
+    told: Callable[[float], None] = lambda fill: None,
 ) -> float:
-    """Write a mask (1 where a pixel is not to be used) of an image's black ends and of its own ``mask`` ("": none).
+    """Write a mask (1 where a pixel is not to be used) of an image's empty ends and of its own ``mask`` ("": none).
 
-    Black are runs of pixels from the left or right end of a row, or from the top of a column, that the vendor's own
-    mask does not hide. Only a ``part`` of the image is looked at (None: the whole); its black runs count where they
-    continue to the image's end. Gives the share of the part that they are; 0 where they are too few to matter, and
-    nothing is written. ``check`` is called between parts, and may raise to stop.
+    Empty are runs of pixels from the left or right end of a row, or from the top of a column, that the vendor's own
+    mask does not hide: black ones, and those of one other value where none in the image is larger, or none smaller.
+    Only a ``part`` of the image is looked at (None: the whole); its empty runs count where they continue to the image's
+    end. Gives the share of the part that they are; 0 where they are too few to matter, and nothing is written.
+    ``check`` is called between parts, and may raise to stop; ``told`` gets the other value.
 
     Raises ImageError for an image or mask that cannot be read, WorkspaceError where the mask cannot be written.
     """
     with opened_masked(image, mask) as dataset:
         width, height = dataset.RasterXSize, dataset.RasterYSize
         looked_at = _to_near_ends(part, (width, height), parameters.least_px)
-        if not _may_have_any(dataset, looked_at, band, parameters):
+        first = read(dataset, Window(looked_at.col, looked_at.row, looked_at.width, 1), band)
+        ends = _row_ends(dataset, looked_at, band, parameters)
+        parameters = replace(parameters, fill=_fill_of(dataset, looked_at, band, ends, parameters))
+        if not _may_have_any(first, ends, parameters):
             return 0.0
         black = 0
         with created(target, RasterFrame((height, width), np.uint8), nodata=None) as raster:
@@ -56,6 +63,8 @@ def write_collar_mask(
         with suppress(OSError):
             os.remove(target)
         return 0.0
+    if math.isfinite(parameters.fill):
+        told(parameters.fill)
     return share
 
 
@@ -69,17 +78,54 @@ def _to_near_ends(part: Optional[Window], size: Size, near: int) -> Window:
     return Window.spanning(*low, *high)
 
 
-def _may_have_any(dataset: Image, part: Window, band: int, parameters: CollarParameters) -> bool:
-    """Whether some of the part's rows begin or end black: nearly all images have none, and cost no more than this."""
-    side, least = min(part.width, parameters.end_px), parameters.least_px
-    if _is_black(read(dataset, Window(part.col, part.row, part.width, 1), band), parameters).sum() >= least:
+def _row_ends(
+    dataset: Image, part: Window, band: int, parameters: CollarParameters
+) -> List[Tuple[FloatImage, FloatImage]]:
+    """(1, n) the left and the right ends of some of the part's rows, evenly spread."""
+    side = min(part.width, parameters.end_px)
+    rows = np.unique(np.linspace(0, part.height - 1, min(part.height, parameters.looked_at)).astype(int))
+    cols = part.col, part.col + part.width - side
+    ends = [[read(dataset, Window(col, part.row + int(row), side, 1), band) for col in cols] for row in rows]
+    return [(left, right) for left, right in ends]
+
+
+def _fill_of(
+    dataset: Image,
+    part: Window,
+    band: int,
+    ends: Sequence[Tuple[FloatImage, FloatImage]],
+    parameters: CollarParameters,
+) -> float:
+    """The value, other than black, that rows of a part begin or end with and that is an extreme of its values; NaN for
+    none."""
+    counts: Counter[float] = Counter()
+    for left, right in ends:
+        for run in (left[0, : parameters.least_px], right[0, -parameters.least_px :]):
+            if run.size == parameters.least_px and (run == run[0]).all() and not _is_black(run, parameters).any():
+                counts[float(run[0])] += 1
+    for value, count in counts.most_common(2):  # one of the two may be a cloud
+        if count >= parameters.least_rows:
+            size = min(part.width, parameters.looked_at), min(part.height, parameters.looked_at)
+            sample = read(dataset, part, band, size, nearest=True)
+            known = sample[np.isfinite(sample)]
+            above, below = (known > value).mean(), (known < value).mean()
+            if above + below and min(above, below) <= parameters.beyond_share:  # neither: an image without content
+                return value
+    return math.nan
+
+
+def _may_have_any(
+    first: FloatImage, ends: Sequence[Tuple[FloatImage, FloatImage]], parameters: CollarParameters
+) -> bool:
+    """Whether some of a part's rows begin or end black, or its first row is: nearly all images have none, and cost no
+    more than this."""
+    least = parameters.least_px
+    if _is_black(first, parameters).sum() >= least:
         return True
-    for row in np.unique(np.linspace(0, part.height - 1, min(part.height, parameters.looked_at)).astype(int)):
-        for col in (0, part.width - side):
-            values = read(dataset, Window(part.col + col, part.row + int(row), side, 1), band)
-            black = _is_black(values, parameters)
-            left, right = _runs(_dark(values, parameters), least)
-            if (black & (right if col else left)).sum() >= least:
+    for sides in ends:
+        for side, values in enumerate(sides):
+            run = _runs(_dark(values, parameters), least)[side]
+            if (_is_black(values, parameters) & run).sum() >= least:
                 return True
     return False
 
@@ -145,10 +191,10 @@ def _dark(values: FloatImage, parameters: CollarParameters) -> Mask:
 
 
 def _is_black(values: FloatImage, parameters: CollarParameters) -> Mask:
-    """Zeros, and in whole numbers what lossy compression makes of them."""
+    """Zeros, in whole numbers what lossy compression makes of them, and what else fills the image's ends."""
     whole = bool((values[np.isfinite(values)] % 1 == 0).all())
     with np.errstate(invalid="ignore"):
-        return np.asarray(values <= (parameters.black if whole else 0.0))
+        return np.asarray((values <= (parameters.black if whole else 0.0)) | (values == parameters.fill))
 
 
 def _runs(black: Mask, least: int) -> Tuple[Mask, Mask]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Sequence, Tuple
+from typing import Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
@@ -16,7 +16,7 @@ from ..geometry.frames import flat_crs, geodetic_from_projected, on_earth, verti
 from ..geometry.interpolation import on_lattice
 from ..geometry.surface import Surface
 from ..runtime.workspace import file_identity
-from .heights import read_heights, to_metres
+from .heights import read_heights, to_metres, void_share
 from .parameters import DEM
 from .raster import NODATA, opened, quiet, read, write
 
@@ -92,17 +92,17 @@ def _coarse(path: str, bounds: Bounds, cell_m: float) -> Tuple[FloatArray, Seque
     width, height = (max(2, int(np.ceil(extent / step))) for extent in extents)
     with opened(path) as dataset:
         crs = _crs_of(dataset, path)
+        source, (factor, added) = _without_voids(dataset, crs, bounds)
         with quiet():
             # Two-dimensional, so that GDAL does not shift the heights by itself.
             systems = {"srcSRS": flat_crs(crs).to_wkt(), "dstSRS": "EPSG:4326"}
             grid = {"outputBounds": bounds, "width": width, "height": height, "resampleAlg": "average"}
             kind = {"format": "MEM", "dstNodata": NODATA, "outputType": gdal.GDT_Float32}
-            warped = gdal.Warp("", dataset, **systems, **grid, **kind)
+            warped = gdal.Warp("", source, **systems, **grid, **kind)
         if warped is None or not np.isfinite(read(warped)).any():
             raise OverlapError(f"The DEM '{path}' does not cover the scene: give one that does.")
         with quiet():
             gdal.FillNodata(warped.GetRasterBand(1), None, float(max(width, height)), 2)
-        factor, added = to_metres(dataset)
         heights = read(warped).astype(np.float64) * factor + added
         transform = warped.GetGeoTransform()
         warped = None
@@ -110,6 +110,27 @@ def _coarse(path: str, bounds: Bounds, cell_m: float) -> Tuple[FloatArray, Seque
     if vertical_part(crs):
         heights += _undulation(crs, path, bounds, (height, width))
     return heights, transform
+
+
+def _without_voids(dataset: gdal.Dataset, crs: pyproj.CRS, bounds: Bounds) -> Tuple[gdal.Dataset, Tuple[float, float]]:
+    """A DEM that GDAL may average within ``bounds`` (degrees), and what makes its numbers metres: itself, or its
+    heights there in memory where it has voids that no nodata value declares."""
+    to_dem = pyproj.Transformer.from_crs("EPSG:4326", flat_crs(crs), always_xy=True)
+    u, v = np.meshgrid(np.linspace(bounds[0], bounds[2], 9), np.linspace(bounds[1], bounds[3], 9))
+    window = _window(dataset, np.column_stack([np.ravel(each) for each in to_dem.transform(u, v)]))
+    if window is None or not void_share(dataset, window):
+        return dataset, to_metres(dataset)
+    most = 2 * DEM.surface_cells
+    heights = read_heights(dataset, window, 1, (min(window.width, most), min(window.height, most)))
+    rows, columns = heights.shape
+    clean = gdal.GetDriverByName("MEM").Create("", columns, rows, 1, gdal.GDT_Float32)
+    x, width, turn, y, tilt, height = dataset.GetGeoTransform()
+    x, y = x + window.col * width + window.row * turn, y + window.col * tilt + window.row * height
+    east, south = window.width / columns, window.height / rows
+    clean.SetGeoTransform((x, width * east, turn * south, y, tilt * east, height * south))
+    clean.GetRasterBand(1).SetNoDataValue(NODATA)
+    clean.GetRasterBand(1).WriteArray(np.where(np.isfinite(heights), heights, np.float32(NODATA)))
+    return clean, (1.0, 0.0)
 
 
 def _undulation(crs: pyproj.CRS, path: str, bounds: Bounds, shape: Tuple[int, int]) -> FloatArray:
@@ -140,17 +161,23 @@ def _on(heights: FloatArray, transform: Sequence[float]) -> Surface:
     return Surface(west + step_lon / 2, north + step_lat / 2, step_lon, -step_lat, heights)
 
 
-def _window_values(dataset: gdal.Dataset, path: str, points: FloatArray, most: int) -> FloatImage:
-    """The DEM's cells within the bounding box of points (in its CRS), reduced to at most so many a side."""
+def _window(dataset: gdal.Dataset, points: FloatArray) -> Optional[Window]:
+    """The DEM's cells within the bounding box of (N, 2) points in its CRS; None where there are none."""
     inverse = gdal.InvGeoTransform(dataset.GetGeoTransform())
     known = points[np.isfinite(points).all(axis=1)]
     cells = np.array([gdal.ApplyGeoTransform(inverse, float(x), float(y)) for x, y in known])
-    if len(cells):
-        low = np.maximum(np.floor(cells.min(axis=0)).astype(int) - 1, 0)
-        high = np.minimum(np.ceil(cells.max(axis=0)).astype(int) + 1, (dataset.RasterXSize, dataset.RasterYSize))
-    if not len(cells) or (high <= low).any():
+    if not len(cells):
+        return None
+    low = np.maximum(np.floor(cells.min(axis=0)).astype(int) - 1, 0)
+    high = np.minimum(np.ceil(cells.max(axis=0)).astype(int) + 1, (dataset.RasterXSize, dataset.RasterYSize))
+    return None if (high <= low).any() else Window.spanning(*map(int, (*low, *high)))
+
+
+def _window_values(dataset: gdal.Dataset, path: str, points: FloatArray, most: int) -> FloatImage:
+    """The DEM's heights within the bounding box of points (in its CRS), reduced to at most so many a side."""
+    window = _window(dataset, points)
+    if window is None:
         raise OverlapError(f"The DEM '{path}' does not cover the scene: give one that does, or leave DEM empty.")
-    window = Window.spanning(*map(int, (*low, *high)))
     values = read_heights(dataset, window, 1, (min(window.width, most), min(window.height, most)))
     if not np.isfinite(values).any():
         raise OverlapError(f"The DEM '{path}' has only nodata over the scene: give another one, or leave DEM empty.")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Optional, Tuple
+from typing import Iterator, Optional, Tuple
 
 import numpy as np
 import pyproj
@@ -21,8 +21,14 @@ from ..contracts.errors import ImageError
 from ..geometry.vertical import metres_per_unit
 from . import raster
 
+LOWEST_M, HIGHEST_M = -12000.0, 9000.0
+"""Numbers below or above are no heights of the Earth's surface: the Challenger Deep lies at -10935 m, Everest's summit
+at 8849 m, and ellipsoid and geoid are at most 107 m apart. Voids are such numbers: 32767, -32768, 3.4e38, ..."""
 _UNDECLARED = (-9999.0, -32768.0, -32767.0)
-"""Heights that writers mean as "none" although the file declares no nodata value."""
+"""Numbers that writers mean as "none" although the file declares no nodata value."""
+_OURS = "REPM_ENGINE"  # a tag of all our rasters, whose voids are declared
+_STRIP_CELLS = 1 << 22  # that are read at once
+_SAMPLE_CELLS = 4000  # a side, that the share of voids is taken from
 _FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
 _UNITS = {
     **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
@@ -81,10 +87,65 @@ def read_heights(
 ) -> FloatImage:
     """Heights of a band in metres (rows, columns), NaN where there is none.
 
-    -9999 and the like count as none if no nodata value is declared. ``size`` (columns, rows) reads means, as
-    :func:`~repm_qgis.imagery.raster.read` does. Raises ImageError for a damaged file, an unknown unit or no scale.
+    -9999 and the like count as none if no nodata value is declared, and numbers that cannot be heights never count.
+    ``size`` (columns, rows) reads means, as :func:`~repm_qgis.imagery.raster.read` does, without what does not count.
+    Raises ImageError for a damaged file, an unknown unit or no scale.
     """
-    return _scaled(_known(dataset, window, band, size), to_metres(dataset, band))
+    if size is not None and void_share(dataset, window, band):
+        return _means(dataset, window or Window(0, 0, dataset.RasterXSize, dataset.RasterYSize), band, size)
+    return _possible(_scaled(_known(dataset, window, band, size), to_metres(dataset, band)))
+
+
+def void_share(dataset: gdal.Dataset, window: Optional[Window] = None, band: int = 1) -> float:
+    """The share of a band's cells (0..1, of a window's) with numbers that are no heights, and that no nodata value
+    declares: :func:`read_heights` leaves them out. Reads all cells but those of our own rasters, which have none."""
+    if dataset.GetMetadataItem(_OURS):
+        return 0.0
+    voids = 0
+    whole = window or Window(0, 0, dataset.RasterXSize, dataset.RasterYSize)
+    for strip in _strips(whole):
+        stated = np.isfinite(raster.read(dataset, strip, band))
+        voids += int((stated & ~np.isfinite(read_heights(dataset, strip, band))).sum())
+    return voids / max(whole.width * whole.height, 1)
+
+
+def stray_shares(dataset: gdal.Dataset, band: int = 1) -> Tuple[float, float]:
+    """The shares of a band's cells (0..1) with numbers that cannot be heights, and with those that mean "none" although
+    no nodata value declares them; of large rasters by evenly spread cells."""
+    if dataset.GetMetadataItem(_OURS):
+        return 0.0, 0.0
+    size = min(dataset.RasterXSize, _SAMPLE_CELLS), min(dataset.RasterYSize, _SAMPLE_CELLS)
+    values = raster.read(dataset, None, band, size, nearest=True)
+    stated = np.isfinite(values)
+    marked = stated & np.isin(values, _UNDECLARED) & (dataset.GetRasterBand(band).GetNoDataValue() is None)
+    left = np.isfinite(_possible(_scaled(values, to_metres(dataset, band))))
+    return float((stated & ~marked & ~left).mean()), float(marked.mean())
+
+
+def _strips(window: Window) -> Iterator[Window]:
+    rows = max(1, _STRIP_CELLS // max(window.width, 1))
+    for row in range(0, window.height, rows):
+        yield Window(window.col, window.row + row, window.width, min(rows, window.height - row))
+
+
+def _means(dataset: gdal.Dataset, window: Window, band: int, size: Size) -> FloatImage:
+    """Means of the heights in (columns, rows) nearly equal parts of a window, NaN where a part has none.
+
+    GDAL's own means would have voids in them, which then look like heights.
+    """
+    columns, rows = min(size[0], window.width), min(size[1], window.height)
+    sums, counts = np.zeros((rows, columns)), np.zeros((rows, columns))
+    first = np.arange(columns) * window.width // columns
+    for strip in _strips(window):
+        heights = read_heights(dataset, strip, band).astype(np.float64)
+        known = np.isfinite(heights)
+        target = (np.arange(strip.height) + strip.row - window.row) * rows // window.height
+        np.add.at(sums, target, np.add.reduceat(np.where(known, heights, 0.0), first, axis=1))
+        np.add.at(counts, target, np.add.reduceat(known.astype(np.float64), first, axis=1))
+    means: FloatImage = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan).astype(np.float32)
+    if means.shape == size[::-1]:
+        return means
+    return means[np.arange(size[1])[:, None] * rows // size[1], np.arange(size[0]) * columns // size[0]]
 
 
 def read_values(
@@ -100,6 +161,13 @@ def _known(dataset: gdal.Dataset, window: Optional[Window], band: int, size: Opt
         for value in _UNDECLARED:
             values[values == value] = np.nan
     return values
+
+
+def _possible(heights: FloatImage) -> FloatImage:
+    """Without the numbers that cannot be heights; changes the array."""
+    with np.errstate(invalid="ignore"):
+        heights[(heights < LOWEST_M) | (heights > HIGHEST_M)] = np.nan
+    return heights
 
 
 def _scaled(values: FloatImage, scale: Tuple[float, float]) -> FloatImage:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from ..contracts.parameters import Parameters
@@ -49,6 +50,9 @@ class CollarParameters(Parameters):
     """What is a black end of an image, and not dark ground. All values are chosen."""
 
     black: float = 3.0  # of whole numbers: zeros, and what lossy JPEG 2000 makes of them
+    fill: float = math.nan  # another value that fills an image's ends; found in each image
+    least_rows: int = 3  # of those looked at that must begin or end with such a value
+    beyond_share: float = 1e-4  # of the pixels that may be larger, or smaller, than such a value
     least_px: int = 16  # of a run of black pixels: shadows at an image's border are shorter
     least_share: float = 0.0005  # of the image: less does no harm
     looked_at: int = 256  # rows, of which one must have a black end before the whole image is read ...

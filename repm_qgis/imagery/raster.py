@@ -16,14 +16,23 @@ import numpy as np
 from numpy.typing import DTypeLike
 from osgeo import gdal
 
-from ..contracts.arrays import AnyArray, FloatImage, Mask, Size, Window
+from ..contracts.arrays import AnyArray, FloatImage, IntArray, Mask, Size, Window
 from ..contracts.errors import ImageError
+from ..contracts.formats import GEOTIFF, Format, raster_format
 from ..files.untrusted import RASTERS, claimed, drivers_for, refusal_of, refusal_of_empty, unlike_an_image
 from ..runtime.shortage import speaks_of_memory
-from ..runtime.workspace import file_identity, file_sample, not_written, take_name, temporary_name
+from ..runtime.workspace import (
+    file_identity,
+    file_sample,
+    not_written,
+    take_name,
+    temporary_folder,
+    temporary_name,
+)
 
 NODATA = -9999.0
 
+_STRIP_PX = 1 << 22  # of a mask that are read at once
 _NO_OVERVIEWS = ["OVERVIEW_LEVEL=NONE"] if int(gdal.VersionInfo()) >= 3030000 else []  # older: the first overview alone
 
 COLOURS = (gdal.GCI_RedBand, gdal.GCI_GreenBand, gdal.GCI_BlueBand)
@@ -75,8 +84,33 @@ class MaskedImage:
         return str(self.image.GetDescription())
 
     def excluded(self, window: Optional[Window] = None, size: Optional[Size] = None) -> Mask:
-        """(height, width) what the mask excludes of a window, as :func:`read` takes it."""
-        return np.asarray(np.nan_to_num(read(self.mask, window, 1, size), nan=0.0) != 0)
+        """(height, width) what the mask excludes of a window, as :func:`read` takes it; reduced, what it touches."""
+        if size is None:
+            return np.asarray(np.nan_to_num(read(self.mask, window), nan=0.0) != 0)
+        # GDAL's means of whole numbers are rounded: a tenth of an excluded pixel would count as none.
+        col, row, width, height = window or (0, 0, self.RasterXSize, self.RasterYSize)
+        found = np.zeros(size[::-1], dtype=bool)
+        first, last = _parts(width, size[0])
+        top, bottom = _parts(height, size[1])
+        step = max(1, int(_STRIP_PX * size[1] / max(width * height, 1)))
+        for begin in range(0, size[1], step):
+            end = min(begin + step, size[1])
+            strip = Window(col, row + int(top[begin]), width, int(bottom[end - 1] - top[begin]))
+            rows = _any_of(self.excluded(strip), top[begin:end] - top[begin], bottom[begin:end] - top[begin])
+            found[begin:end] = _any_of(rows.T, first, last).T
+        return found
+
+
+def _any_of(excluded: Mask, first: IntArray, last: IntArray) -> Mask:
+    """(parts, columns) whether any row is excluded from the first of each part to before its last."""
+    more = np.vstack([excluded, np.zeros((1, excluded.shape[1]), dtype=bool)])
+    return np.asarray(np.logical_or.reduceat(more, np.column_stack([first, last]).ravel(), axis=0)[::2])
+
+
+def _parts(pixels: int, size: int) -> Tuple[IntArray, IntArray]:
+    """(size,) the first pixel of each of so many equal parts of a side, and the one after its last."""
+    edges = np.arange(size + 1) * (pixels / size)
+    return np.floor(edges[:-1] + 1e-9).astype(np.int64), np.ceil(edges[1:] - 1e-9).astype(np.int64)
 
 
 Image = Union[gdal.Dataset, MaskedImage]
@@ -118,6 +152,12 @@ def opened(path: str, overviews: bool = True) -> Iterator[gdal.Dataset]:
     try:
         if dataset.RasterCount < 1:
             raise ImageError(f"'{path}' has no raster band: choose the image itself, not a container.")
+        kind = dataset.GetRasterBand(1).DataType
+        if gdal.DataTypeIsComplex(kind):
+            raise ImageError(
+                f"'{path}' has complex pixels ({gdal.GetDataTypeName(kind)}), as radar images have, and no intensities "
+                "or heights: choose an optical image, or convert it to real numbers first."
+            )
         _attempt(dataset.GetProjection)  # GDAL reads what lies beside it; GDAL 3.13 raises an error of damaged XML
         with quiet():
             _require(path, claimed(dataset))
@@ -323,9 +363,10 @@ def created(
     own: bool = False,
     overviews: str = "AVERAGE",
 ) -> Iterator[RasterWriter]:
-    """A new tiled GeoTIFF to fill by window: it gets its name only if the block ends without an error.
+    """A new raster to fill by window, in the format of its name's extension: it gets its name only if the block ends
+    without an error. It is made as a tiled GeoTIFF.
 
-    ``cog``: a cloud optimized GeoTIFF, with overviews and
+    ``cog``: where it stays one, a cloud optimized GeoTIFF, with overviews and
     statistics, for products that people look at; it is a copy of the filled one, because windows may be filled in any
     order. ``own``: for this machine to read again; compressed in a third of the time, where its GDAL has ZSTD.
     ``overviews`` is GDAL's resampling for these; numbers that name something must not be averaged.
@@ -340,6 +381,10 @@ def created(
         if cog:
             writer.set_statistics()
         writer.close()
+        form = raster_format(path)
+        if form.driver != GEOTIFF:
+            _to_format(temporary, path, form)
+            return
         if cog:
             _to_cog(temporary, whole, path, np.dtype(frame.dtype), overviews)
             os.replace(whole, temporary)
@@ -362,6 +407,23 @@ def _to_cog(source: str, target: str, path: str, dtype: np.dtype[np.generic], ov
             return None if made is None else True  # the file is closed here
 
         _require_written(path, _attempt(copy)[1])
+
+
+def _to_format(source: str, path: str, form: Format) -> None:
+    """Copy a raster into another format, with the files that belong to it; all get their names when they are complete.
+
+    Raises WorkspaceError, also where the format does not keep what the raster is: its cells, its place and its datum.
+    """
+    with temporary_folder(path) as folder, opened(source) as dataset:
+        target = os.path.join(folder, os.path.basename(path))
+
+        def copy() -> Optional[bool]:
+            made = gdal.GetDriverByName(form.driver).CreateCopy(target, dataset, options=list(form.options))
+            return None if made is None else True  # the file is closed here
+
+        _require_written(path, _attempt(copy)[1])
+        for name in sorted(os.listdir(folder), key=lambda each: each == os.path.basename(path)):  # itself last
+            take_name(os.path.join(folder, name), os.path.join(os.path.dirname(path), name))
 
 
 def _create(temporary: str, path: str, frame: RasterFrame, *, compress: bool, own: bool) -> gdal.Dataset:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +13,7 @@ import pyproj
 from ..contracts.arrays import FloatArray
 from ..contracts.errors import InputTableError
 from ..contracts.findings import Finding
-from ..files.tables import CsvTable, LayerTable, Limits, number_in
+from ..files.tables import CsvTable, LayerTable, Limits, csv_text, number_in
 from ..files.vector import file_and_layer
 from ..geometry.frames import EnuFrame, install_grid, vertical_operations
 from ..geometry.vertical import vertical_crs, with_wgs84
@@ -204,15 +202,12 @@ def write_gcps(path: str, gcps: Sequence[Gcp]) -> str:
 
     A point that was measured in no view has one row whose view, col and row are empty. Raises WorkspaceError.
     """
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(FIELDS)
+    table: List[Sequence[object]] = [FIELDS]
     for gcp in gcps:
         place = [gcp.id, f"{gcp.lon:.10f}", f"{gcp.lat:.10f}", f"{gcp.height:.4f}"]
         rows = [[view, *(f"{number:.4f}" for number in pixel)] for view, pixel in gcp.pixels.items()]
-        for measured in rows or [["", "", ""]]:
-            table.writerow([*place, *measured, gcp.role])
-    return write_text(path, text.getvalue())
+        table += [[*place, *measured, gcp.role] for measured in rows or [["", "", ""]]]
+    return write_text(path, csv_text(table))
 
 
 def residuals(gcp: Gcp, views: Sequence[View], place: Optional[FloatArray] = None) -> Dict[str, FloatArray]:

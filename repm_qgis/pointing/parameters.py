@@ -87,6 +87,7 @@ class PlaceParameters(Parameters):
     """How far control points may be from where the vendors' RPCs put their pixels, beyond the vendors' promise."""
 
     margin_m: float = 50.0  # errors of points from maps; a geoid of 100 m seen at 27 degrees. Chosen
+    believable: float = 3.0  # standard deviations of the RPCs' heights, beyond which those of points are named. Chosen
 
 
 @dataclass(frozen=True)

@@ -4,22 +4,31 @@ Each scene has one shift (and tilt) of the ground as unknowns. A reference obser
 points observe that it is zero (they are in the pointing already), and two overlapping surfaces observe the difference
 of two shifts. Each observation is weighted by its covariance. A direction that no observation determines stays as it
 is: of all solutions, that with the smallest shifts is taken.
+
+Where sources disagree by more than their covariances let expect, these are too small: the deviations of the result grow
+by the Birge ratio (Birge 1932, Physical Review 40) of each axis, and cover half of what two sources contradict each
+other by, because nothing says which of them is wrong.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import List, Sequence, Tuple
+from itertools import combinations
+from typing import Iterator, List, Sequence, Tuple
 
 import numpy as np
 
 from ..contracts.arrays import FloatArray
 from ..contracts.findings import Finding
 from ..contracts.records import GroundShift
+from .estimation import split
 from .parameters import REGISTRATION, RegistrationParameters
 from .solve import Prior, Shift
 
 _UNKNOWNS = 5  # of a scene: east, north, up, and the tilt to the east and to the north
+_SIZES = np.array([1.0, 1.0, 1.0, 1e-3, 1e-3])  # usual ones of them, m and m per m
+_AXES = ("to the east", "to the north", "in height")
 
 
 @dataclass(frozen=True)
@@ -55,6 +64,11 @@ class Observation:
         basis[:3] = vectors[:, good]
         return cls("the ground control points", scene, -1, np.zeros(_UNKNOWNS), basis, np.diag(1.0 / values[good]))
 
+    def left(self, solution: FloatArray) -> FloatArray:
+        """(5,) what it says less what a solution (scenes, 5) does, of what it observes."""
+        of_solution = solution[self.first] - (solution[self.second] if self.second >= 0 else 0.0)
+        return np.asarray(self.basis @ (self.basis.T @ (self.value - of_solution)))
+
     def design(self, scenes: int) -> FloatArray:
         """(k, 5 scenes) derivatives of what is observed."""
         design = np.zeros((self.basis.shape[1], _UNKNOWNS * scenes))
@@ -80,7 +94,10 @@ class Placed:
 
 
 def place_scenes(
-    centres: Sequence[Tuple[float, float]], priors: Sequence[Prior], observations: Sequence[Observation]
+    centres: Sequence[Tuple[float, float]],
+    priors: Sequence[Prior],
+    observations: Sequence[Observation],
+    parameters: RegistrationParameters = REGISTRATION,
 ) -> List[Placed]:
     """The shifts of scenes that fit best to all observations; ``centres`` are those of their tilts."""
     count = len(centres)
@@ -89,45 +106,81 @@ def place_scenes(
         weighted = each.design(count).T @ np.linalg.inv(each.covariance)
         normal += weighted @ each.design(count)
         right += weighted @ each.basis.T @ each.value
-    values, vectors = np.linalg.eigh(normal)
-    known = values > 1e-9 * max(float(values[-1]), 1e-12)
-    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
+    inverse, unknown = split(normal, np.tile(_SIZES, count))
     solution = inverse @ right
     placed = []
     for number, (centre, prior) in enumerate(zip(centres, priors)):
         own = slice(_UNKNOWNS * number, _UNKNOWNS * number + _UNKNOWNS)
-        unknown = vectors[own][:, ~known] @ vectors[own][:, ~known].T  # not observed
         east, north, up, tilt_x, tilt_y = map(float, solution[own])
         ground = GroundShift((east, north, up), (tilt_x, tilt_y), centre)
-        share, directions = np.linalg.eigh(unknown[:2, :2])
+        share, directions = np.linalg.eigh(unknown[own, own][:2, :2])
         deviations = np.array([prior.horizontal_m, prior.horizontal_m, prior.up_m, 0.0, 0.0])
-        covariance = inverse[own, own] + unknown * np.outer(deviations, deviations)
+        more = _disagreement(number, observations, solution, inverse, parameters)
+        covariance = inverse[own, own] * np.outer(more, more) + unknown[own, own] * np.outer(deviations, deviations)
         placed.append(Placed(ground, covariance, directions[:, share < 0.5].T))
     return placed
+
+
+def _disagreement(
+    scene: int,
+    observations: Sequence[Observation],
+    solution: FloatArray,
+    inverse: FloatArray,
+    parameters: RegistrationParameters,
+) -> FloatArray:
+    """(5,) by how much the deviations of a scene's unknowns must grow, because its sources disagree."""
+    linked, more = _linked(scene, observations), np.ones(_UNKNOWNS)
+    scenes = len(solution) // _UNKNOWNS
+    for axis in range(_UNKNOWNS):
+        telling = [each for each in linked if _observes(each, axis)]
+        unknowns = len({number for each in telling for number in (each.first, each.second) if number >= 0})
+        anchored = any(each.second < 0 for each in telling)
+        free = len(telling) - (unknowns if anchored else unknowns - 1)
+        left = [(each.left(solution.reshape(scenes, _UNKNOWNS))[axis], _variance(each, axis)) for each in telling]
+        if free > 0:
+            more[axis] = max(1.0, math.sqrt(sum(off**2 / variance for off, variance in left) / free))
+    for first, second, axis, apart, _ in _contradicting(linked, parameters):
+        own = math.sqrt(inverse[_UNKNOWNS * scene + axis, _UNKNOWNS * scene + axis])
+        if scene in (first.first, second.first) and own > 0:
+            more[axis] = max(more[axis], abs(apart) / 2.0 / own)
+    return more
+
+
+def _linked(scene: int, observations: Sequence[Observation]) -> List[Observation]:
+    """The observations that a scene has a part in, by way of overlaps too."""
+    reached, grown = {scene}, True
+    while grown:
+        of_pairs = [{each.first, each.second} for each in observations if each.second >= 0]
+        more = set().union(*(pair for pair in of_pairs if pair & reached))
+        grown, reached = not more <= reached, reached | more
+    return [each for each in observations if each.first in reached]
 
 
 def contradictions(
     observations: Sequence[Observation], parameters: RegistrationParameters = REGISTRATION
 ) -> List[Finding]:
     """Sentences about two sources that contradict each other about one scene."""
-    found = []
+    texts = [
+        f"{first.source} and {second.source} contradict each other by {abs(apart):.2f} m {_AXES[axis]}, where "
+        f"{deviation:.2f} m are expected (one standard deviation): check the places, dates and vertical datums of both."
+        for first, second, axis, apart, deviation in _contradicting(observations, parameters)
+    ]
+    return [Finding("references-contradict", text, "doubt") for text in texts]
+
+
+_Contradiction = Tuple[Observation, Observation, int, float, float]
+
+
+def _contradicting(observations: Sequence[Observation], parameters: RegistrationParameters) -> Iterator[_Contradiction]:
+    """Two sources about one scene, an axis, by how much they differ there, and one deviation of that, m."""
     alone = [each for each in observations if each.second < 0]
-    for index, first in enumerate(alone):
-        for second in alone[index + 1 :]:
-            if first.first != second.first:
-                continue
-            for axis, name in enumerate(("to the east", "to the north", "in height")):
-                if _observes(first, axis) and _observes(second, axis):
-                    apart = float(first.value[axis] - second.value[axis])
-                    deviation = float(np.sqrt(_variance(first, axis) + _variance(second, axis)))
-                    if abs(apart) > parameters.contradiction * deviation + parameters.least_contradiction_m:
-                        text = (
-                            f"{first.source} and {second.source} contradict each other by {abs(apart):.2f} m {name}, "
-                            f"where {deviation:.2f} m are expected (one standard deviation): check the places, "
-                            "dates and vertical datums of both."
-                        )
-                        found.append(Finding("references-contradict", text, "doubt"))
-    return found
+    for first, second in combinations(alone, 2):
+        for axis in range(len(_AXES)) if first.first == second.first else ():
+            if _observes(first, axis) and _observes(second, axis):
+                apart = float(first.value[axis] - second.value[axis])
+                deviation = float(np.sqrt(_variance(first, axis) + _variance(second, axis)))
+                if abs(apart) > parameters.contradiction * deviation + parameters.least_contradiction_m:
+                    yield first, second, axis, apart, deviation
 
 
 def _observes(observation: Observation, axis: int) -> bool:

@@ -38,10 +38,11 @@ def read_cloud(
 ) -> FoundHeights:
     """The heights of a cloud within bounds of the scene's projected CRS, as means over cells of ``least_m``, at least.
 
+    A cloud with so few points that hardly any cell has enough of them gives its points themselves.
+
     Points of the class ground (2) only, where there are any, else all but noise. The scene's surface shows roofs and
     trees, which ground points do not: the robust weights of the solution exclude them. A mean lies at the mean place of
-    its points, which on a slope need not be the cell's middle. ``check`` is called between parts, and may raise to
-    stop.
+    its points, which on a slope need not be the cell's middle. ``check`` is called between parts, and may raise to stop.
 
     Raises ImageError for a file that cannot be read, or has no CRS; OverlapError where it has no
     points within the bounds; MissingPackageError without laspy.
@@ -55,9 +56,38 @@ def read_cloud(
             others.add(part.xyz)
             ground.add(part.xyz[part.ground])
         system = cloud.system
-    if ground.any():
-        others = ground
-    return others.found(path, parameters.cloud_points, system)
+    ground_only = ground.any()
+    sums = ground if ground_only else others
+    if sums.share(parameters.cloud_points) < parameters.sparse:
+        return _read_points(path, crs, common, ground_only, check, parameters)
+    return sums.found(path, parameters.cloud_points, system)
+
+
+def _read_points(
+    path: str,
+    crs: str,
+    bounds: Bounds,
+    ground_only: bool,
+    check: Callable[[], None],
+    parameters: RegistrationParameters,
+) -> FoundHeights:
+    """The points themselves; of very many, every second, third ... of them."""
+    with opened_cloud(path) as cloud:
+        parts = [part.xyz[part.ground] if ground_only else part.xyz for part in cloud.parts(crs, bounds, check)]
+        system = cloud.system
+    xyz = np.concatenate(parts) if parts else np.empty((0, 3))
+    if not len(xyz):
+        raise no_heights(path)
+    xyz = xyz[:: -(-len(xyz) // parameters.cloud_single)]
+    return FoundHeights(
+        name=path,
+        xy=xyz[:, :2],
+        height=xyz[:, 2],
+        width_m=(0.0, 0.0),
+        datum=stated_datum(system),
+        places_in=places_unit(system),
+        about=f"Single points, {len(xyz)} of them: they lie too far apart for means over cells.",
+    )
 
 
 @dataclass(frozen=True)
@@ -181,6 +211,11 @@ class CellSums:
         known = self._count >= least
         heights[known] = self._sums[2, known] / self._count[known]
         return heights.reshape(self._grid.shape)
+
+    def share(self, least: int) -> float:
+        """The share of the points that lie in cells with at least so many."""
+        total = float(self._count.sum())
+        return float(self._count[self._count >= least].sum()) / total if total else 1.0
 
     def any(self) -> bool:
         """Whether there is any point."""

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from typing import Callable, Optional
 
-import numpy as np
-
 from ..contracts.arrays import Floats
 from ..contracts.records import DemOffset
 from ..geometry.cell_grid import CellGrid
 from ..geometry.vertical import HeightDatum
 from ..scene import Scene
+from .estimation import deviations_of
 from .parameters import REGISTRATION, RegistrationParameters
 from .references import in_datum, read_reference
 from .solve import Prior, solve_shift
@@ -59,4 +58,4 @@ def stated_height_deviation(scene: Scene) -> Optional[float]:
         return ties.height_uncertainty_m / 2.0
     if ties.control_information is None:
         return None
-    return float(math.sqrt(np.linalg.pinv(ties.control_information)[2, 2]))
+    return float(deviations_of(ties.control_information)[2])

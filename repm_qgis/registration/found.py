@@ -11,9 +11,8 @@ import pyproj
 from ..contracts.arrays import Bounds, FloatArray, Mask
 from ..contracts.errors import InputTableError, OverlapError
 from ..geometry.vertical import HeightDatum, metres_per_unit
+from ..imagery.heights import HIGHEST_M, LOWEST_M
 from .parameters import REGISTRATION
-
-_HEIGHTS = (-12_000.0, 10_000.0)  # m; larger numbers mean "none", such as 3.4e38
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,7 @@ class FoundPoints:
 
     def add(self, x: FloatArray, y: FloatArray, height: FloatArray) -> None:
         """(N,) places of the file, and heights, m; raises InputTableError for more than fit into memory."""
-        near = self.within.near(x, y) & (height > _HEIGHTS[0]) & (height < _HEIGHTS[1])
+        near = self.within.near(x, y) & (height >= LOWEST_M) & (height <= HIGHEST_M)
         xy, inside = self.within.places(x[near], y[near])
         self._count += int(inside.sum())
         if self._count > REGISTRATION.most_heights:

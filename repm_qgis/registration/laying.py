@@ -9,9 +9,11 @@ from typing import Callable, List, Optional, Sequence, Tuple
 import numpy as np
 
 from ..contracts.arrays import Bounds, FloatArray, Floats
+from ..contracts.errors import RepmError
 from ..contracts.records import GroundShift, ReferenceFigures
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
+from ..geometry.height_causes import likely_cause
 from ..geometry.vertical import HeightDatum
 from ..numerics.robust import nmad
 from ..planning.height_uncertainty import usual_height_deviation
@@ -26,6 +28,7 @@ from .solve import Prior, Shift, solve_shift
 from .surfaces import Reference, SupportMeans
 
 Check = Callable[[], None]
+_SAME_DATUM_M = 0.02  # by which heights differ in realisations of one datum
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,15 @@ class Laid:
     shift: Shift
     choice: Optional[DatumChoice] = None  # where neither the user nor the file states the datum
     about: str = ""  # a sentence about the kind of heights
+    other_datum: str = ""  # a sentence where the user's choice is not what the file states
+
+    def cause(self, within_m: float, lon_lat: FloatArray) -> str:
+        """What a shift in height of more than ``within_m`` may come from, "" for a smaller one, and where unknown."""
+        up = float(self.shift.moved[2])
+        if abs(up) <= within_m:
+            return ""
+        middle = float(np.median(self.reference.xyz[:, 2]))
+        return likely_cause(-up, middle, float(lon_lat[0]), float(lon_lat[1]), within_m)
 
     def figures(self) -> ReferenceFigures:
         """What a scene keeps of it."""
@@ -94,6 +106,20 @@ class Laid:
             other_relief=self.shift.other_relief,
             about=self.about,
         )
+
+    def left_m(self, ground: GroundShift) -> float:
+        """How much higher the surface would have to lie after it was moved, m: measured again, at the heights that gave
+        the shift and with their weights. NaN where none of them sees the surface any more."""
+        x, y, z = self.reference.xyz.T
+        left = z - self.means.at(x - ground.moved[0], y - ground.moved[1])[0]
+        left -= ground.up(x - ground.moved[0], y - ground.moved[1])
+        count = np.where(np.isfinite(left), self.shift.precision, 0.0)
+        return float(count @ np.nan_to_num(left) / count.sum()) if count.any() else math.nan
+
+    def covered(self, parts: int) -> float:
+        """The share of the scene's parts with heights, of so many along a side, in which the reference has some too."""
+        east, north = self.shift.ground.moved[:2]
+        return self.means.shared(self.shift.xy[:, 0] - east, self.shift.xy[:, 1] - north, parts)
 
     def differences(self, ground: GroundShift) -> Tuple[FloatArray, FloatArray, FloatArray]:
         """(N, 2) places, and (N,) the reference minus the surface, m, before and after it is moved; NaN = unknown."""
@@ -163,7 +189,9 @@ def lay(
         means = SupportMeans(surface.grid, surface.height, reference, parameters.covered)
         return solve_shift(means, reference, prior, tilted, check, parameters)
 
-    said, choice = "REFERENCE_DATUM says so", None
+    said, choice, other = "REFERENCE_DATUM says so", None, ""
+    if datum is not None and found.datum is not None:
+        other = _other_datum(found, surface.crs, datum)
     if datum is None and found.datum is not None:
         datum, said = found.datum, "the file says so"
     if datum is None:
@@ -172,7 +200,26 @@ def lay(
     reference = in_datum(found, surface.crs, datum)
     means = SupportMeans(surface.grid, surface.height, reference, parameters.covered)
     shift = choice.shift if choice else solve_shift(means, reference, prior, tilted, check, parameters)
-    return Laid(reference, means, datum, said, shift, choice, found.about)
+    return Laid(reference, means, datum, said, shift, choice, found.about, other)
+
+
+def _other_datum(found: FoundHeights, crs: str, chosen: HeightDatum) -> str:
+    """A sentence where a file states another datum than the user has chosen, and its heights differ by it."""
+    stated = found.datum
+    if stated is None or stated.code == chosen.code:
+        return ""
+    try:
+        heights = [in_datum(found, crs, datum).xyz[:, 2] for datum in (chosen, stated)]
+        apart = float(np.median(heights[0] - heights[1]))
+    except RepmError:  # PROJ lacks a grid
+        apart = math.nan
+    if abs(apart) < _SAME_DATUM_M:
+        return ""
+    by = f", which moves them by {apart:+.2f} m" if math.isfinite(apart) else ""
+    return (
+        f"'{found.name}' states that its heights refer to {stated.name}, and REFERENCE_DATUM says {chosen.name}{by}: "
+        "REFERENCE_DATUM is followed. Set it to auto unless the file is wrong."
+    )
 
 
 def overlaps(surfaces: Sequence[OwnSurface]) -> List[Tuple[int, int]]:

@@ -46,6 +46,7 @@ class RegistrationParameters(Parameters):
     lags: int = 64  # classes of distance of the differences' correlation ...
     reach: float = 0.5  # ... up to this share of the extent's diagonal
     pairs: int = 4_000_000  # of differences that their correlation is estimated from, about
+    slope_step: float = 1.0  # of the larger of a cell and a support: how far the slope of the equations is taken over
     lattice: int = 400  # cells along the longer side, in which the covariance sums up scores
     # Supports of lasers: a disc's diameter, or west to east and south to north of a rectangle. ICESat-2's ground tracks
     # run within 10 degrees of north up to 70 degrees of latitude (inclination 92 degrees), so its segments do too.
@@ -62,6 +63,9 @@ class RegistrationParameters(Parameters):
     photon_sigma: float = 4.0  # ... and so many standard deviations (Poisson) more than noise puts there
     cloud_points: int = 4  # that a cell of a gridded cloud needs
     cloud_cells: int = 4_000_000  # of a gridded cloud: larger scenes have larger cells
+    cloud_single: int = 200_000  # points of a sparse cloud, at most: more of them add nothing and take time
+    sparse: float = 0.25  # of the points in cells with enough of them, or of the blocks: fewer are no cells. Chosen
+    known_slopes: float = 0.5  # of a reference's heights: where fewer have slopes, they are fitted, or not used. Chosen
     most_heights: int = 10_000_000  # of points and lasers within the scene: more do not fit into memory
     believable: float = 3.0  # promised standard deviations of height, within which a vertical datum is likely
     local_parts: int = 4  # along each side of the surface, whose offsets are shown
@@ -73,9 +77,16 @@ class RegistrationParameters(Parameters):
     least_search_m: float = 40.0  # ... and at least up to this
     contradiction: float = 3.0  # standard deviations between two sources, from which on they contradict each other
     least_contradiction_m: float = 0.1
+    copy_m: float = 0.002  # by which heights and places of a copy differ at most: rounding. Chosen
+    copy_share: float = 0.9  # of a reference's heights that another one has too: then one is a copy. Chosen
+    copy_heights: int = 5000  # of a reference that are looked for in another one
     dem_cells: int = 250_000  # coarse cells of a DSM that is compared with the user's DEM, about
     relief_m: float = 5.0  # NMAD of a reference's heights: with less, noise and roofs may have any correlation. Chosen
     level: Tuple[float, float] = (0.05, 0.95)  # quantiles of a reference's heights, between which its relief is. Chosen
+    unexplained: float = 0.7  # of the spread of a surface's heights, which a reference of its ground makes less. Chosen
+    most_left_m: float = 3.0  # spread of the differences from a reference: more is not noise, if it is no less. Chosen
+    least_covered: float = 0.1  # of the parts of a scene that have heights of the reference: less is said. Chosen
+    cover_parts: int = 10  # along each side of the scene, of which these are
     least_alike: float = 0.5  # rank correlation of a surface with a reference; sound ones have 0.99. Chosen
     most_scaled: float = 1.5  # times as high, or as low; feet are 3.3. Chosen
     dem_m: float = 2.4  # standard deviation of a DEM's own height: LE90 4 m of Copernicus DEM (Airbus, handbook, 2020)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Callable, Optional, Tuple
 
 import numpy as np
 import pyproj
 from osgeo import gdal
 
-from ..contracts.arrays import Bounds, FloatArray, Floats, Window
+from ..contracts.arrays import Bounds, FloatArray, Floats, IntArray, Window
 from ..contracts.checks import as_text
 from ..contracts.errors import ImageError, OverlapError
 from ..geometry.frames import flat_crs, on_earth
@@ -17,8 +18,10 @@ from ..geometry.vertical import TAG, stated_datum
 from ..imagery.heights import read_heights
 from ..imagery.raster import opened
 from .found import FoundHeights, no_heights, places_unit
+from .parameters import REGISTRATION
 
 _STRIP_CELLS = 1 << 24  # of the raster that are read at once
+_REACHES = (1, 2, 4)  # cells to each side that a plane is fitted to, where neighbours are unknown
 
 
 def read_raster(
@@ -49,9 +52,17 @@ def read_raster(
         widths = np.hypot(*jacobian)
         factor = max(1, math.ceil(least_m / float(widths.min()) - 1e-6))
         heights = _read_means(dataset, window, factor, check)
-    col, row = np.meshgrid(
-        *(origin + factor * (np.arange(n) + 0.5) for origin, n in zip(window[:2], heights.shape[::-1]))
-    )
+        away = np.full((2, 1, 1), 0.5)
+        if factor > 1 and np.isfinite(heights).mean() < REGISTRATION.sparse:
+            any_cell = 0.5 / factor**2
+            every = _read_means(dataset, window, factor, check, any_cell)
+            if np.isfinite(heights).sum() < REGISTRATION.sparse * np.isfinite(every).sum():
+                # Stripes, or single cells: no block has half of its cells, so a mean lies where its cells do.
+                heights, away = every, _read_places(dataset, window, factor, check) / factor
+    rows, columns = heights.shape
+    col = window.col + factor * (np.arange(columns) + away[0])
+    row = window.row + factor * (np.arange(rows)[:, None] + away[1])
+    col, row = np.broadcast_arrays(col, row)
     x, y = _moved(back, place[0] + col * place[1] + row * place[2], place[3] + col * place[4] + row * place[5])
     slopes = slopes_of(heights, jacobian * factor)
     known = np.isfinite(heights) & np.isfinite(x) & np.isfinite(y)
@@ -106,9 +117,32 @@ def _moved(to: pyproj.Transformer, x: FloatArray, y: FloatArray) -> Tuple[FloatA
     return np.asarray(found[0]), np.asarray(found[1])
 
 
-def _read_means(dataset: gdal.Dataset, window: Window, factor: int, check: Callable[[], None]) -> FloatArray:
-    """Means of blocks of factor x factor cells, strip by strip; the raster's overviews are not used: they may be
-    shifted by half a cell."""
+def _read_means(
+    dataset: gdal.Dataset, window: Window, factor: int, check: Callable[[], None], covered: float = 0.5
+) -> FloatArray:
+    """Means of blocks of factor x factor cells, of which ``covered`` must be known, strip by strip; the raster's
+    overviews are not used: they may be shifted by half a cell."""
+    return _of_strips(dataset, window, factor, check, lambda cells: block_means(cells, factor, covered))
+
+
+def _read_places(dataset: gdal.Dataset, window: Window, factor: int, check: Callable[[], None]) -> FloatArray:
+    """(2, rows, columns) mean places of the known cells of each block, in cells right and down from its corner."""
+
+    def places(axis: int, cells: Floats) -> FloatArray:
+        at = (np.arange(cells.shape[axis]) % factor + 0.5).reshape((-1, 1) if axis == 0 else (1, -1))
+        return block_means(np.where(np.isfinite(cells), at, np.nan), factor, 0.5 / factor**2)
+
+    return np.stack([_of_strips(dataset, window, factor, check, partial(places, axis)) for axis in (1, 0)])
+
+
+def _of_strips(
+    dataset: gdal.Dataset,
+    window: Window,
+    factor: int,
+    check: Callable[[], None],
+    means: Callable[[Floats], FloatArray],
+) -> FloatArray:
+    """(rows, columns) what a function makes of the whole blocks of each strip of cells."""
     columns, rows = window.width // factor, window.height // factor
     result = np.full((rows, columns), np.nan)
     strip = max(1, _STRIP_CELLS // max(window.width * factor, 1))
@@ -116,7 +150,7 @@ def _read_means(dataset: gdal.Dataset, window: Window, factor: int, check: Calla
         check()
         count = min(strip, rows - begin)
         part = Window(window.col, window.row + begin * factor, columns * factor, count * factor)
-        result[begin : begin + count] = block_means(read_heights(dataset, part), factor, 0.5)
+        result[begin : begin + count] = means(read_heights(dataset, part))
     return result
 
 
@@ -130,9 +164,41 @@ def block_means(cells: Floats, factor: int, covered: float) -> FloatArray:
 
 
 def slopes_of(heights: FloatArray, jacobian: FloatArray) -> FloatArray:
-    """(rows, columns, 2) slopes to the east and north by central differences; NaN at borders and beside gaps."""
+    """(rows, columns, 2) slopes to the east and north by central differences; NaN at borders and beside gaps.
+
+    Where gaps leave most cells without (stripes, a checker pattern, sparse points), slopes are those of planes through
+    the known cells around, NaN where these determine none.
+    """
     right, down = np.full(heights.shape, np.nan), np.full(heights.shape, np.nan)
     right[:, 1:-1] = (heights[:, 2:] - heights[:, :-2]) / 2
     down[1:-1] = (heights[2:] - heights[:-2]) / 2
+    known = np.isfinite(heights)
+    without = known & ~(np.isfinite(right) & np.isfinite(down))
+    for reach in _REACHES if without.sum() > REGISTRATION.known_slopes * known.sum() else ():
+        rows, columns = np.nonzero(without)
+        right[rows, columns], down[rows, columns] = _planes(heights, rows, columns, reach)
+        without &= ~np.isfinite(right)
     slopes: FloatArray = np.stack([right, down], axis=-1) @ np.linalg.inv(jacobian)
     return slopes
+
+
+def _planes(heights: FloatArray, rows: IntArray, columns: IntArray, reach: int) -> Tuple[FloatArray, FloatArray]:
+    """Slopes to the right and down, m per cell, of planes through the known cells of squares around (N,) cells; NaN
+    where these lie on a line."""
+    padded, middle = np.pad(heights, reach, constant_values=np.nan), heights[rows, columns]
+    sums = np.zeros((9, len(rows)))
+    for v, u in np.ndindex(2 * reach + 1, 2 * reach + 1):
+        z = padded[rows + v, columns + u] - middle
+        known = np.isfinite(z)
+        x, y, z = float(u - reach), float(v - reach), np.where(known, z, 0.0)
+        for total, part in zip(sums, (1.0, x, y, x * x, x * y, y * y)):
+            total += part * known
+        for total, part in zip(sums[6:], (1.0, x, y)):
+            total += part * z
+    n, x, y, xx, xy, yy, z, xz, yz = sums
+    a, b, c = xx - x * x / n, xy - x * y / n, yy - y * y / n
+    p, q, determinant = xz - x * z / n, yz - y * z / n, a * c - b * b
+    least = (a + c - np.hypot(a - c, 2.0 * b)) / 2.0  # eigenvalue: how far the cells spread across their own line
+    flat = least < 1.0
+    determinant = np.where(flat, np.nan, determinant)
+    return (c * p - b * q) / determinant, (a * q - b * p) / determinant

@@ -13,19 +13,19 @@ small without it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Callable, Iterator, Optional, Tuple
 
 import numpy as np
 
-from ..contracts.arrays import FloatArray, IntArray, Mask
+from ..contracts.arrays import FloatArray, Mask
 from ..contracts.errors import EmptyResultError
 from ..contracts.records import GroundShift, LocalOffset, OtherRelief
 from ..numerics.robust import NMAD_FACTOR, nmad, tukey
+from . import estimation
+from .estimation import Correlation
 from .parameters import REGISTRATION, RegistrationParameters
 from .surfaces import Reference, SupportMeans
-
-_ROWS = 512  # of pairs' distances that are computed at once
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,8 @@ class Shift:
     surface stays as it was. Of the reference's heights: (N, 2) ``xy`` of those that see the surface, (N,) their
     differences (reference minus surface, m) ``before_m`` (NaN where the surface was not there) and ``after_m``, and
     their ``weight``; ``range_m`` is how far the differences are correlated. ``offsets`` are those of the surface's
-    parts. ``other_relief``: the surface does not have the reference's relief.
+    parts. ``other_relief``: the surface does not have the reference's relief. ``precision`` of all heights of the
+    reference is what the difference of each counts for the height of the surface, 1 / m².
     """
 
     ground: GroundShift
@@ -61,6 +62,7 @@ class Shift:
     range_m: float
     offsets: Tuple[LocalOffset, ...] = ()
     other_relief: Optional[OtherRelief] = None
+    precision: FloatArray = field(default_factory=lambda: np.empty(0))
 
     @property
     def moved(self) -> FloatArray:
@@ -122,6 +124,7 @@ def solve_shift(
         range_m=correlation.range_m,
         offsets=tuple(problem.local_offsets(solution, free, correlation)),
         other_relief=_other_relief(xyz[seen, 2] - solution.residual[seen], xyz[seen, 2], parameters),
+        precision=solution.weight / solution.noise**2,
     )
 
 
@@ -135,19 +138,23 @@ def _is_level(heights: FloatArray, solution: _Solution, parameters: Registration
 
 def _other_relief(own: FloatArray, reference: FloatArray, parameters: RegistrationParameters) -> Optional[OtherRelief]:
     """Whether (N,) heights of the surface have another relief than those of the reference; None where they have not,
-    or the reference is too level to tell.
+    or are too level to tell.
 
-    All heights count, not only those with a weight: those were chosen because they agree.
+    All heights count, not only those with a weight: those were chosen because they agree. A reference of the surface's
+    ground leaves less spread than the surface has alone, by the shortest half of both: houses on a plain have none.
     """
     from scipy.stats import spearmanr
 
-    relief = nmad(reference)
-    if relief < parameters.relief_m:
+    relief, left = nmad(reference), half_spread(own - reference)
+    explains = left <= max(parameters.most_left_m, parameters.unexplained * half_spread(own))
+    if relief < parameters.relief_m and explains:
         return None
-    found = OtherRelief(float(spearmanr(own, reference)[0]), float(nmad(own) / relief))
+    level = np.ptp(reference) < parameters.least_noise_m or np.ptp(own) < parameters.least_noise_m
+    correlation = 0.0 if level else float(spearmanr(own, reference)[0])
+    found = OtherRelief(correlation, float(nmad(own) / max(relief, parameters.least_noise_m)))
     most = parameters.most_scaled
     alike = found.correlation >= parameters.least_alike and 1.0 / most <= found.ratio <= most
-    return None if alike else found
+    return None if alike and explains else found
 
 
 def _is_precise(
@@ -166,6 +173,21 @@ def mode(values: FloatArray, share: float) -> float:
         return float(np.median(ordered))
     at = int(np.argmin(ordered[count - 1 :] - ordered[: len(ordered) - count + 1]))
     return float(np.median(ordered[at : at + count]))
+
+
+def _enough(slopes: Optional[FloatArray], parameters: RegistrationParameters) -> Optional[FloatArray]:
+    """A reference's (N, 2) slopes, None where most of its heights have none: the rest would not do for all."""
+    if slopes is None or np.isfinite(slopes).all(axis=1).mean() < parameters.known_slopes:
+        return None
+    return slopes
+
+
+def half_spread(values: FloatArray) -> float:
+    """The standard deviation of (N,) values by the shortest interval that holds half of them (Rousseeuw and Leroy
+    1988): that of normal ones, whatever the tails."""
+    ordered = np.sort(values)
+    half = len(ordered) // 2 + 1
+    return float((ordered[half - 1 :] - ordered[: len(ordered) - half + 1]).min()) / 1.349
 
 
 def _known(values: FloatArray) -> FloatArray:
@@ -230,7 +252,7 @@ class _Solution:
     instruments: FloatArray
 
 
-_Found = Tuple[_Solution, FloatArray, "_Correlation"]
+_Found = Tuple[_Solution, FloatArray, Correlation]
 """A solution with its covariance, and the correlation of its differences."""
 
 
@@ -239,7 +261,7 @@ class _Problem:
 
     def __init__(self, surface: SupportMeans, reference: Reference, parameters: RegistrationParameters) -> None:
         self._surface, self._xyz, self._parameters = surface, reference.xyz, parameters
-        self._reference, self._slopes = reference, reference.slopes
+        self._reference, self._slopes = reference, _enough(reference.slopes, parameters)
         self.is_fine = self._slopes is not None and max(reference.width_m) < parameters.fine_cells * surface.cell_m
         self.centre = np.array(surface.middle)
 
@@ -258,7 +280,7 @@ class _Problem:
             noise = self._noise(residual, np.hypot(design[:, 0], design[:, 1]), seen)
             weight = tukey(residual / noise / p.tukey) * seen
             weighted = (self._instruments(design) @ basis * (weight / noise**2)[:, None]).T
-            step = basis @ np.linalg.lstsq(weighted @ design @ basis, weighted @ residual, rcond=None)[0]
+            step = estimation.step(weighted @ design @ basis, weighted @ residual, basis)
             longest = np.hypot(*step[:2])
             most = 2.0 * self._surface.resolution_m
             if longest > most:
@@ -310,8 +332,13 @@ class _Problem:
         solution = self.solve(start, free, tilted, check)
         correlation = self.correlation(solution)
         basis = _basis(free, tilted)
-        covariance = self.covariance(solution, basis, correlation, solution.weight > 0, self._parameters.lattice)
-        return solution, covariance, correlation
+        return solution, self._whole(solution, basis, correlation), correlation
+
+    def _whole(self, solution: _Solution, basis: FloatArray, correlation: Correlation) -> FloatArray:
+        """The covariance by all heights that have a weight."""
+        normal = self.slope(solution, basis, self._parameters.slope_step * self._surface.resolution_m)
+        use, lattice = solution.weight > 0, self._parameters.lattice
+        return self.covariance(solution, basis, correlation, use, lattice, normal)
 
     def back(self, found: "_Found", free: FloatArray, tilted: bool) -> "_Found":
         """A solution whose directions that are not ``free`` are set back to their start.
@@ -324,15 +351,10 @@ class _Problem:
         given = np.zeros(5)
         given[:2] = -(solution.unknowns[:2] - free.T @ (free @ solution.unknowns[:2]))
         design = solution.design @ basis
-        step = np.linalg.lstsq(
-            (design.T * weight) @ design, -(design.T * weight) @ (solution.design @ given), rcond=None
-        )
-        moved = replace(solution, unknowns=solution.unknowns + given + basis @ step[0])
-        return (
-            moved,
-            self.covariance(solution, basis, correlation, solution.weight > 0, self._parameters.lattice),
-            correlation,
-        )
+        right = -(design.T * weight) @ (solution.design @ given)
+        step = estimation.step((design.T * weight) @ design, right, basis)
+        moved = replace(solution, unknowns=solution.unknowns + given + step)
+        return moved, self._whole(solution, basis, correlation), correlation
 
     def refined(self, found: "_Found", free: FloatArray, tilted: bool, check: Callable[[], None]) -> "_Found":
         """A solution with the own surface's slopes, from that with a fine reference's.
@@ -346,9 +368,7 @@ class _Problem:
         apart[3:] = 0.0
         return solution, found[1] + np.outer(apart, apart), found[2]
 
-    def local_offsets(
-        self, solution: _Solution, free: FloatArray, correlation: "_Correlation"
-    ) -> Iterator[LocalOffset]:
+    def local_offsets(self, solution: _Solution, free: FloatArray, correlation: Correlation) -> Iterator[LocalOffset]:
         """The shifts that parts of the surface alone would need, in the directions that the whole determines: a step
         from the solution, as far as the part's own heights determine it."""
         p, basis = self._parameters, _basis(free, False)
@@ -360,7 +380,7 @@ class _Problem:
                 continue
             weighted = (solution.instruments[use] @ basis * (solution.weight / solution.noise**2)[use][:, None]).T
             normal = weighted @ solution.design[use] @ basis
-            step = basis @ np.linalg.lstsq(normal, weighted @ solution.residual[use], rcond=None)[0]
+            step = estimation.step(normal, weighted @ solution.residual[use], basis)
             variance = np.diag(self.covariance(solution, basis, correlation, use, p.lattice // p.local_parts))[:3]
             x, y = map(float, self._xyz[use, :2].mean(axis=0))
             tilt = solution.unknowns[3:] @ (np.array([x, y]) - self.centre)
@@ -370,122 +390,58 @@ class _Problem:
                 yield LocalOffset(x, y, (east, north, up), (deviation[0], deviation[1], deviation[2]), int(use.sum()))
 
     def covariance(
-        self, solution: _Solution, basis: FloatArray, correlation: "_Correlation", use: Mask, lattice: int
+        self,
+        solution: _Solution,
+        basis: FloatArray,
+        correlation: Correlation,
+        use: Mask,
+        lattice: int,
+        normal: Optional[FloatArray] = None,
     ) -> FloatArray:
         """(5, 5): the sandwich of the normal matrix and of the correlated noise of its right-hand side, of the heights
         that are used, summed up in a lattice of so many cells along a side."""
         instruments = solution.instruments[use] @ basis
         weighted = instruments * (solution.weight / solution.noise**2)[use][:, None]
-        # Derivative of Tukey's psi: what a weight of residuals near the limit really counts.
-        u = (solution.residual / solution.noise)[use] / self._parameters.tukey
-        slope = (1 - u**2) * (1 - 5 * u**2) / solution.noise[use] ** 2
-        normal = (instruments * slope[:, None]).T @ (solution.design[use] @ basis)
+        if normal is None:
+            # Derivative of Tukey's psi: what a weight of residuals near the limit really counts.
+            u = (solution.residual / solution.noise)[use] / self._parameters.tukey
+            slope = (1 - u**2) * (1 - 5 * u**2) / solution.noise[use] ** 2
+            normal = (instruments * slope[:, None]).T @ (solution.design[use] @ basis)
         scores = weighted * solution.noise[use][:, None]  # of a residual of one standard deviation
-        middle = self._correlated(scores, self._xyz[use, :2], correlation, lattice)
-        inverse = np.linalg.pinv(normal)
-        return np.asarray(basis @ inverse @ middle @ inverse.T @ basis.T)
+        middle = estimation.correlated_sum(scores, self._xyz[use, :2], correlation, lattice)
+        return estimation.sandwich(normal, middle, basis)
 
-    def correlation(self, solution: _Solution) -> "_Correlation":
-        """The correlation of standardised differences by their distance, fitted to pairs of them."""
-        p = self._parameters
-        use = np.nonzero(solution.weight > 0)[0]
-        some = _some(use, p.pairs, 0)
-        r = (solution.residual / solution.noise)[some]
-        r = r - r.mean()
-        place = self._xyz[some, :2]
-        edges = p.reach * float(np.hypot(*np.ptp(place, axis=0))) * np.linspace(0, 1, p.lags + 1) ** 2
-        total, count = np.zeros(p.lags), np.zeros(p.lags)
-        for begin in range(0, len(some), _ROWS):
-            rows = np.arange(begin, min(begin + _ROWS, len(some)))
-            later = np.arange(len(some))[None, :] > rows[:, None]
-            kind = np.digitize(_distances(place[rows], place)[later], edges) - 1
-            inside = kind < p.lags
-            product = (r[rows, None] * r[None, :])[later]
-            total += np.bincount(kind[inside], product[inside], p.lags)
-            count += np.bincount(kind[inside], minlength=p.lags)
-        good = count > 0
-        lags = ((edges[:-1] + edges[1:]) / 2)[good]
-        return _Correlation.fitted(lags, total[good] / count[good] / float(np.mean(r**2) or 1.0), count[good])
+    def slope(self, solution: _Solution, basis: FloatArray, step_m: float) -> FloatArray:
+        """(k, k) the slope of the equations, by differences.
 
-    def _correlated(
-        self, scores: FloatArray, place: FloatArray, correlation: "_Correlation", lattice: int
-    ) -> FloatArray:
-        """(k, k) sum over all pairs of scores, s_i s_j' ρ(distance).
-
-        Scores are summed in the cells of a lattice, and the pairs of cells by Fourier transforms. All within a cell
-        count as being in one place, which makes the sum rather too large.
+        The surface's noise makes slopes, which count in the product of slopes as if they were those of the ground; a
+        shift changes the differences there at random, so that they determine nothing. Only the equations themselves
+        show it, a step away to both sides.
         """
-        low, side = place.min(axis=0), float(np.ptp(place, axis=0).max())
-        cell = max(side / lattice, 1e-6)
-        column, row = np.floor((place - low) / cell).astype(int).T
-        shape = int(row.max()) + 1, int(column.max()) + 1
-        index, padded = row * shape[1] + column, (2 * shape[0], 2 * shape[1])
-        down, right = (np.minimum(np.arange(n), n - np.arange(n)) * cell for n in padded)
-        spectrum = np.fft.rfft2(correlation.at(np.hypot(down[:, None], right[None, :])))
-        sums = [np.bincount(index, column, shape[0] * shape[1]).reshape(shape) for column in scores.T]
-        smeared = [
-            np.fft.irfft2(np.fft.rfft2(each, padded) * spectrum, padded)[: shape[0], : shape[1]] for each in sums
-        ]
-        apart = np.array([[float((a * b).sum()) for b in smeared] for a in sums])
-        alone = 1.0 - float(correlation.at(np.zeros(1))[0])  # what is each height's own
-        return np.asarray(alone * scores.T @ scores + (apart + apart.T) / 2)
 
+        u = solution.residual / solution.noise / self._parameters.tukey
+        psi = (solution.weight * solution.residual / solution.noise**2)[:, None]
+        derivative = np.where(np.abs(u) < 1.0, (1 - u**2) * (1 - 5 * u**2), 0.0)[:, None] / solution.noise[:, None] ** 2
 
-@dataclass(frozen=True)
-class _Correlation:
-    """A sum of exponential and Gaussian functions of the distance, none negative: a valid correlation in the plane."""
+        def at(unknowns: FloatArray) -> Tuple[FloatArray, FloatArray, Mask]:
+            residual, design, seen = self._linearised(unknowns)
+            return residual[:, None], self._instruments(design) @ basis, seen
 
-    lengths_m: FloatArray
-    exponential: FloatArray
-    gaussian: FloatArray
+        columns = []
+        for direction in basis.T:
+            by = step_m if not direction[3:].any() else step_m / max(self._surface.extent_m)
+            (above, z_above, there), (below, z_below, here) = (
+                at(solution.unknowns + sign * by * direction) for sign in (1, -1)
+            )
+            both = there & here & solution.seen
+            change = solution.instruments @ basis * derivative * (below - above) + (z_below - z_above) * psi
+            columns.append(change[both].sum(axis=0) / (2.0 * by))
+        return np.column_stack(columns)
 
-    @classmethod
-    def fitted(cls, lags: FloatArray, values: FloatArray, counts: FloatArray) -> "_Correlation":
-        """To values at distances, by non-negative least squares over lengths from the least to the largest lag."""
-        from scipy.optimize import nnls
-
-        if not len(lags):
-            return cls(np.ones(1), np.zeros(1), np.zeros(1))
-        lengths = np.geomspace(max(lags[0], 1e-6), max(lags[-1] / 2, 2 * lags[0], 1e-5), 12)
-        zero = np.zeros(len(lengths))
-        design = np.column_stack(
-            [
-                cls(lengths, exponential, gaussian).at(lags)
-                for exponential, gaussian in (*((e, zero) for e in np.eye(12)), *((zero, e) for e in np.eye(12)))
-            ]
-        )
-        weight = np.sqrt(counts)
-        found = nnls(design * weight[:, None], values * weight)[0]
-        found = found / max(found.sum(), 1.0)
-        return cls(lengths, found[:12], found[12:])
-
-    def at(self, distance: FloatArray) -> FloatArray:
-        total = np.zeros(distance.shape)
-        for length, a, b in zip(self.lengths_m, self.exponential, self.gaussian):
-            if a:
-                total += a * np.exp(-distance / length)
-            if b:
-                total += b * np.exp(-((distance / length) ** 2))
-        return total
-
-    @property
-    def range_m(self) -> float:
-        """Up to where the correlation is 1 / e."""
-        at = np.linspace(0.0, 3.0 * float(self.lengths_m[-1]), 3000)
-        above = np.nonzero(self.at(at) >= math.exp(-1))[0]
-        return float(at[above[-1]]) if len(above) else 0.0
-
-
-def _some(numbers: IntArray, pairs: int, seed: int) -> IntArray:
-    """So many of the numbers that they make about so many pairs."""
-    most = int(math.sqrt(2 * pairs))
-    if len(numbers) <= most:
-        return numbers
-    return np.sort(np.random.default_rng(seed).permutation(numbers)[:most])
-
-
-def _distances(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(np.hypot(a[:, None, 0] - b[None, :, 0], a[:, None, 1] - b[None, :, 1]))
+    def correlation(self, solution: _Solution) -> Correlation:
+        """The correlation of standardised differences that have a weight."""
+        use = solution.weight > 0
+        return Correlation.of((solution.residual / solution.noise)[use], self._xyz[use, :2], self._parameters)
 
 
 def _basis(free: FloatArray, tilted: bool) -> FloatArray:

@@ -67,6 +67,17 @@ class SupportMeans:
         rows, columns = self._unknown.shape
         return columns * self._grid.cell, rows * self._grid.cell
 
+    def shared(self, x: FloatArray, y: FloatArray, parts: int) -> float:
+        """The share of the surface's parts with means, of so many along a side, in which some of (N,) places lie."""
+        rows, columns = self._unknown.shape
+        known, there = np.zeros((2, parts, parts), dtype=bool)
+        step = max(1, min(rows, columns) // (8 * parts))
+        row, column = (step * each for each in np.nonzero(~self._unknown[::step, ::step]))
+        known[row * parts // rows, column * parts // columns] = True
+        row, column = (self._grid.north - y) / self._grid.cell / rows, (x - self._grid.west) / self._grid.cell / columns
+        there[tuple(np.clip((each * parts).astype(int), 0, parts - 1) for each in (row, column))] = True
+        return float((known & there).sum() / max(known.sum(), 1))
+
     def at(self, x: FloatArray, y: FloatArray) -> Tuple[FloatArray, FloatArray, FloatArray]:
         """(N,) means (NaN where unknown), and their slopes to the east and to the north (m per m)."""
         from scipy import ndimage

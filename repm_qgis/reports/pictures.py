@@ -17,6 +17,7 @@ from ..contracts.arrays import AnyArray, ByteImage, FloatImage, Floats, Size
 from ..contracts.errors import ImageError
 from ..evaluation.grids import Grid, metres_per_unit
 from ..imagery import raster
+from ..imagery.heights import read_heights
 
 _PNG_LEVEL = "ZLEVEL=4"  # of a shaded surface 6 % more bytes than level 7, in a fifth of the time
 
@@ -233,19 +234,30 @@ def _encoded(picture: AnyArray, driver: str, option: str) -> bytes:
 
 
 def preview(
-    path: str | os.PathLike[str], max_px: int, band: int = 1, *, nearest: bool = False, size: Optional[Size] = None
+    path: str | os.PathLike[str],
+    max_px: int,
+    band: int = 1,
+    *,
+    nearest: bool = False,
+    size: Optional[Size] = None,
+    heights: bool = False,
 ) -> Tuple[FloatImage, float]:
     """Read a raster small, by averaging valid cells (from overviews where there are any), or by taking single ones.
 
     Returns (rows, columns) with NaN for nodata, at most ``max_px`` on the longer side or of this ``size`` (columns,
-    rows), and the size of its cells in metres (1 where the raster has no place on the ground). Raises ImageError where
-    the raster cannot be read.
+    rows), and the size of its cells in metres (1 where the raster has no place on the ground). ``heights`` are those of
+    any DSM, in metres (:func:`~repm_qgis.imagery.heights.read_heights`). Raises ImageError where the raster cannot be
+    read.
     """
     with raster.opened(os.fspath(path)) as dataset:
         columns, rows = dataset.RasterXSize, dataset.RasterYSize
         factor = columns / size[0] if size else max(1.0, max(columns, rows) / float(max(1, max_px)))
         small = size or (max(1, round(columns / factor)), max(1, round(rows / factor)))
-        values = raster.read(dataset, band=band, size=None if small == (columns, rows) else small, nearest=nearest)
+        reduced = None if small == (columns, rows) else small
+        if heights:
+            values = read_heights(dataset, None, band, reduced)
+        else:
+            values = raster.read(dataset, band=band, size=reduced, nearest=nearest)
         per_unit = metres_per_unit(Grid.of(dataset))
         cell = abs(dataset.GetGeoTransform()[1]) * per_unit[0]
         return values, cell * factor

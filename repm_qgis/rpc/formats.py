@@ -270,8 +270,12 @@ MAXAR_ACCURACY = {"ERR_BIAS": "errBias", "ERR_RAND": "errRand"}
 MAXAR_SERIES = {key: f"{key[:4].lower()}{key[5:8].capitalize()}Coef" for key in _POLYNOMIALS}
 
 
+# A value ends with its bracket, its semicolon or its line: some writers leave semicolons out, and GDAL reads these too.
+_STATEMENT = re.compile(r"(?:^|;)[ \t]*(\w+)[ \t]*=\s*(\([^)]*\)?|[^;\n]*)", re.MULTILINE)
+
+
 def _parse_rpb(text: str) -> Rpc:
-    """``lineOffset = 5829;`` and ``lineNumCoef = ( ... );`` in a group IMAGE."""
+    """``lineOffset = 5829;`` and ``lineNumCoef = ( ... );`` in a group IMAGE, with semicolons or without."""
     head, begun, body = text.partition("BEGIN_GROUP")
     body, ended, tail = body.partition("END_GROUP")
     if not begun or not ended:
@@ -281,12 +285,10 @@ def _parse_rpb(text: str) -> Rpc:
     body = body.partition("\n")[2]
     members = {theirs: ours for ours, theirs in {**MAXAR_SCALARS, **MAXAR_ACCURACY, **MAXAR_SERIES}.items()}
     texts: Texts = {}
-    for statement in body.split(";"):
-        key, equals, value = statement.partition("=")
-        ours = members.get(key.strip())
-        if not equals or ours is None:
-            continue
-        _add(texts, ours, _without_brackets(value.strip(), ours) if ours in MAXAR_SERIES else value.strip())
+    for key, value in _STATEMENT.findall(body):
+        ours = members.get(key)
+        if ours is not None:
+            _add(texts, ours, _without_brackets(value.strip(), ours) if ours in MAXAR_SERIES else value.strip())
     return rpc_from_texts(texts)
 
 

@@ -7,7 +7,9 @@ height in metres above its ellipsoid.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import hashlib
+import json
+from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Mapping, Optional
 
 import numpy as np
@@ -88,6 +90,12 @@ class Rpc(Record):
             return super().from_mapping(values)
         except Misfit as misfit:
             raise RpcInvalidError(f"the RPC record cannot be used: {misfit}.") from misfit
+
+    @property
+    def digest(self) -> str:
+        """What distinguishes the model from another one, to the last bit of its numbers."""
+        numbers = [getattr(self, each.name) for each in fields(self) if each.compare]
+        return hashlib.sha256(json.dumps(numbers).encode()).hexdigest()[:24]
 
     @property
     def height_range(self) -> tuple[float, float]:

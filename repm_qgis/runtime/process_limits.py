@@ -101,6 +101,14 @@ def bound_cache(megabytes: int = 128) -> None:
     gdal.SetCacheMax(megabytes << 20)
 
 
+def silence_gdal() -> None:
+    """Keep GDAL's messages off the console: they come in our exceptions, and those of a file that is then read in
+    another way mean nothing. For processes of our own only."""
+    from osgeo import gdal
+
+    gdal.SetErrorHandler("CPLQuietErrorHandler")
+
+
 def prepare_process() -> None:
     """Have one thread and a small cache of GDAL in a process that does one task at a time."""
     one_thread_for_sums()
@@ -109,4 +117,5 @@ def prepare_process() -> None:
 
     cv2.setNumThreads(1)
     bound_cache(64)
+    silence_gdal()
     reserve_buffers()

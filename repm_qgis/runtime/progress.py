@@ -81,10 +81,11 @@ class Recorder(Part):
     The same sentence is passed on once.
     """
 
-    def __init__(self, whole: Progress) -> None:
+    def __init__(self, whole: Progress, before: Sequence[Finding] = ()) -> None:
+        """What was found ``before``, or is in the record that this one begins in, is part of it, and was passed on."""
         super().__init__(whole, 0.0, 1.0)
         self.notes: List[str] = []
-        self.findings: List[Finding] = []
+        self.findings: List[Finding] = list(before or (whole.findings if isinstance(whole, Recorder) else ()))
 
     def info(self, text: str) -> None:
         self.notes.append(text)

@@ -120,7 +120,7 @@ def temporary_name(path: str, own: bool = False) -> str:
     target = real_target(path, own)
     ensure_folder(str(target.parent))
     drop_temporary(path, own)
-    temporary = str(target.with_name(f"{_prefix(target)}{_MACHINE}-{os.getpid()}-{os.urandom(4).hex()}{target.suffix}"))
+    temporary = str(target.with_name(f"{_prefix(target)}{MACHINE}-{os.getpid()}-{os.urandom(4).hex()}{target.suffix}"))
     _own_temporaries.add(temporary)
     return temporary
 
@@ -153,8 +153,8 @@ def drop_temporaries(folder: str) -> None:
 
 
 def _drop(folder: Path, prefix: str) -> None:
-    for leftover in folder.glob(f"{prefix}{_MACHINE}-*"):
-        process = leftover.name.rsplit(f"{_MACHINE}-", 1)[1].split("-")[0]
+    for leftover in folder.glob(f"{prefix}{MACHINE}-*"):
+        process = leftover.name.rsplit(f"{MACHINE}-", 1)[1].split("-")[0]
         if process.isdigit() and not process_exists(int(process)):
             remove_temporary(str(leftover))
 
@@ -179,7 +179,9 @@ def _machine() -> str:
     return hashlib.sha256(f"{socket.gethostname()} {space}".encode()).hexdigest()[:8]
 
 
-_MACHINE = _machine()
+MACHINE = _machine()
+kept_folders: Dict[str, str] = {}
+"""Folders that are kept under another name when new ones take theirs, until a run ends (:mod:`.together`)."""
 _own_temporaries: Set[str] = set()
 
 
@@ -544,9 +546,13 @@ def _take_place(temporary: Path, target: Path) -> None:
     """
     _require_naming()
     _keep_permissions(temporary, target)
+    kept = kept_folders.pop(str(target), "")
     if not os.path.lexists(target):
         _replace(temporary, target)
-    elif not _exchange(temporary, target):
+    elif _exchange(temporary, target):
+        if kept:
+            os.replace(temporary, kept)
+    else:
         aside = _aside(target)
         remove_temporary(str(aside))
         _replace(target, aside)
@@ -555,6 +561,8 @@ def _take_place(temporary: Path, target: Path) -> None:
         except OSError:
             os.replace(aside, target)
             raise
+        if kept:
+            os.replace(aside, kept)
         remove_temporary(str(aside))
     _sync(str(target.parent))
 

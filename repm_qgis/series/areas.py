@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from dataclasses import dataclass
 from typing import Dict, List, Sequence
@@ -16,6 +14,7 @@ from ..change.volumes import Outlines, Shapes
 from ..contracts.arrays import FloatArray, FloatImage, IntArray
 from ..contracts.errors import InputTableError, OverlapError
 from ..evaluation.grids import Grid
+from ..files.tables import csv_text
 from ..files.vector import file_and_layer, open_layer, write_layer
 from ..geometry.frames import flat_crs
 from ..runtime.workspace import write_text
@@ -216,12 +215,10 @@ def write_areas(path: str, grid: Grid, series: Sequence[DatedDsm], found: Sequen
 
 def write_table(path: str, series: Sequence[DatedDsm], found: Sequence[AreaOverTime]) -> None:
     """A row for each area and date, as CSV; what is not known is empty."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(TABLE)
+    rows: List[Sequence[object]] = [TABLE]
     for each in found:
         for index, date in enumerate(series):
             figures = each.area, 100 * each.known[index], each.mean[index], each.volume[index], each.deviation[index]
             numbers = [f"{figure:.3f}" if math.isfinite(figure) else "" for figure in figures]
-            writer.writerow([each.name, date.label, *numbers])
-    write_text(path, text.getvalue())
+            rows.append([each.name, date.label, *numbers])
+    write_text(path, csv_text(rows))

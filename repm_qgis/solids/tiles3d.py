@@ -75,21 +75,20 @@ def write_tiles3d(
     the ellipsoid, with a warning.
 
     Raises ImageError for a raster that cannot be read or lies nowhere, EmptyResultError for a DSM without heights,
-    MissingPackageError where PROJ lacks the grid of its geoid, WorkspaceError where the folder has other files or
-    cannot be written.
+    OverlapError for an orthophoto of another place, MissingPackageError where PROJ lacks the grid of its geoid,
+    WorkspaceError where the folder has other files or cannot be written.
     """
     progress = progress or Silent()
     require_tiles3d_place(folder)
     with ExitStack() as stack:
         dataset = stack.enter_context(opened(dsm))
         paint = stack.enter_context(opened_paint(ortho, parameters.painting)) if ortho else None
+        if ortho and paint is not None:
+            for finding in picture_findings(dsm, ortho, share_under(Grid.of(paint.dataset), Grid.of(dataset))):
+                progress.warn(finding)
         whole = stack.enter_context(whole_folder(folder))
         (whole / "tiles").mkdir()
         tree = _Tree(dataset, whole, paint, progress, parameters)
-        if ortho and paint is not None:
-            share = share_under(Grid.of(paint.dataset), tree.grid)
-            for finding in picture_findings(dsm, ortho, share):
-                progress.warn(finding)
         root = tree.tile(tree.depth, 0, 0)
         if root is None:
             raise EmptyResultError(f"The DSM '{dsm}' has no heights: there is nothing to write into '{folder}'.")

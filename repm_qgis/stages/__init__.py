@@ -12,14 +12,16 @@ from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any, Callable, ContextManager, Iterator, Mapping, Optional, Union, overload
 
 from ..contracts.errors import MissingPackageError, OptionError
+from ..contracts.formats import companions
 from ..contracts.options import Options
-from ..contracts.products import FOLDER, SCENE, paths_of
+from ..contracts.products import BUILT_FOLDER, FOLDER, PIPELINE, SCENE, paths_of
 from ..contracts.results import Result
 from ..contracts.stages import STAGES, R, Stage
 from ..runtime.imports import require_fitting_numpy, show_proj_its_data
 from ..runtime.locks import exclusive
-from ..runtime.progress import Progress
+from ..runtime.progress import Progress, Recorder
 from ..runtime.shortage import shortage_as_error
+from ..runtime.together import together
 from ..runtime.workspace import following_links_of
 
 if TYPE_CHECKING:  # QGIS needs the options only
@@ -79,10 +81,12 @@ def _run(
     checked = STAGES[name].options.from_json(options)
     if name != "environment":  # which reports it
         require_fitting_numpy()
-    from .collisions import require_distinct
+    from .collisions import require_distinct, require_writable
 
     require_distinct(name, checked)
+    require_writable(name, checked)
     from .early import require_sensible
+    from .voids import name_voids
 
     if parameters is None:
         require_sensible(checked)
@@ -90,7 +94,10 @@ def _run(
         require_sensible(checked, parameters)
     run: Callable[..., Result] = importlib.import_module(f"{__name__}.{name}").run
     folders, files = _written(name, checked)
-    with exclusive(name, progress, folders, files), _workers_for(name, checked, progress):
+    products, workers = together(provisional(name, checked)), _workers_for(name, checked, progress)
+    with exclusive(name, progress, folders, files), products, workers:
+        progress = Recorder(progress)
+        name_voids(checked, progress)
         return run(checked, progress) if parameters is None else run(checked, progress, parameters)
 
 
@@ -100,6 +107,18 @@ def _written(name: str, options: Options) -> tuple[list[str], list[str]]:
     folders = [path for product, path in made if product.option == "workspace"]
     folders += [os.path.dirname(path) or "." for product, path in made if product.form == SCENE]
     return folders, [path for product, path in made if product.option == "output"]
+
+
+def provisional(name: str, options: Options) -> Iterator[str]:
+    """The files and folders that appear together at a run's end: all products, and what belongs to them, but the scene
+    with its folders, where the next run continues."""
+    scenes = [os.path.join(os.path.abspath(folder), "") for folder in _written(name, options)[0]]
+    for product, path in paths_of(name, options):
+        kept = product.stage in PIPELINE[:-1] and os.path.abspath(path).startswith(tuple(scenes))
+        if product.form not in (FOLDER, SCENE) and not kept:
+            yield path
+            if product.form != BUILT_FOLDER:
+                yield from companions(product, path)
 
 
 def _workers_for(name: str, options: Options, progress: Progress) -> ContextManager[None]:

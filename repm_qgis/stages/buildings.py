@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from dataclasses import replace
-from typing import Tuple
+from typing import Sequence, Tuple
 
 from ..buildings.cityjson import write_cityjson
 from ..buildings.finding import FoundBuildings, find_buildings, require_metres
@@ -29,7 +29,7 @@ from . import dtm
 from .parameters import ENGINE, EngineParameters
 
 _TERRAIN_SHARE = 0.5  # of the progress, where the terrain is made first
-_Task = Tuple[BuildingsOptions, Surface, str, str, EngineParameters, Tuple[Finding, ...]]
+_Task = Tuple[BuildingsOptions, Surface, str, str, Sequence[Finding], EngineParameters]
 
 
 def run(options: BuildingsOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> BuildingsResult:
@@ -56,7 +56,7 @@ def run(options: BuildingsOptions, progress: Progress, parameters: EngineParamet
                 memory=options.memory,
             )
             dtm.run(made, Part(progress, 0.0, share), parameters)
-        task = options, surface, str(terrain), folder, parameters, tuple(progress.findings)
+        task = options, surface, str(terrain), folder, progress.findings, parameters
         result: BuildingsResult = run_whole(_found, task, Part(progress, share, 1.0), "finding buildings")
         progress.step(1.0, "Buildings found")
     return replace(result, seconds=round(time.monotonic() - start, 3))
@@ -64,9 +64,8 @@ def run(options: BuildingsOptions, progress: Progress, parameters: EngineParamet
 
 def _found(task: _Task, progress: Progress) -> BuildingsResult:
     """The result, without its seconds."""
-    options, surface, terrain, folder, parameters, earlier = task
-    run = Recorder(progress)
-    run.warn_all(earlier)
+    options, surface, terrain, folder, before, parameters = task
+    run = Recorder(progress, before)
     found = find_buildings(options, surface, terrain, folder, Part(run, 0.0, 0.9), parameters.buildings)
     measured = [each.heights.measured for each in found.buildings]
     run.warn_all([*found.warnings, *of_buildings(measured, options.min_height, options.min_area)])

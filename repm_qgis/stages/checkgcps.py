@@ -16,6 +16,7 @@ from ..files.vector import Features, file_and_layer, write_layer
 from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import opened
 from ..names import scene_title, surface_title
+from ..pointing.control_heights import heights_off
 from ..pointing.control_places import misplaced, placed_points
 from ..pointing.ground_control import Gcp, read_gcps
 from ..reports import verdict
@@ -69,6 +70,10 @@ def _measure_images(scene: Scene, found: GcpAccuracy, options: CheckGcpsOptions)
             raise InputTableError(wrong)
         found.warnings += [Finding("points-misplaced", wrong)] * bool(wrong)
         measure_images(found, scene.views)
+        tied = [pair for pair in scene.pairs if pair.tied]
+        if scene.pointing is not None and tied:
+            off = heights_off(found.gcps, scene.views, tied, scene.pointing)
+            found.warnings += [] if off is None else [off]
         if "compensated" not in found.errors:
             points = f"No point of '{file_and_layer(options.gcps)[0]}' with image measurements has the role control"
             found.warnings.append(

@@ -7,15 +7,29 @@ from dataclasses import replace
 from typing import Dict, List, Tuple
 
 from ..contracts.errors import ImageError, OptionError, SceneError
+from ..contracts.formats import require_formats
 from ..contracts.options import Options
 from ..contracts.paths import real_path
-from ..contracts.products import BUILT_FOLDER, FOLDER, SCENE, Product, paths_of
+from ..contracts.products import BUILT_FOLDER, FOLDER, POINTS, POLYGONS, RASTER, SCENE, Product, paths_of
 from ..contracts.records import with_files
-from ..files.vector import file_and_layer
+from ..files.vector import file_and_layer, strangers_in
 from ..imagery.raster import files_of
 from ..rpc.readers import rpc_sidecars
+from ..runtime.progress import listed
 from ..runtime.workspace import existing_place, require_replaceable
 from ..scene import Scene
+
+
+def require_writable(stage: str, options: Options) -> None:
+    """Raise OptionError for a product in a format that is not written, or whose file holds layers of others, which
+    would be lost. Dialogs use the same check as the engine."""
+    require_formats(stage, options)
+    for product, path in paths_of(stage, options):
+        others = strangers_in(path) if product.form in (RASTER, POINTS, POLYGONS) else []
+        if others:
+            names = listed([repr(each) for each in others])
+            lost = f"holds {names}, which this program did not write, and which would be lost: choose another file"
+            raise OptionError(product.option.upper(), path, lost)
 
 
 def require_distinct(stage: str, options: Options) -> None:

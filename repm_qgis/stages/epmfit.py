@@ -111,20 +111,33 @@ def _masks_are_there(scene: Scene) -> bool:
 
 
 def _without_collars(views: Sequence[View], folder: Path, progress: Progress) -> Tuple[View, ...]:
-    """The views with masks of the black ends of their parts, where no nodata value marks these."""
+    """The views with masks of the empty ends of their parts, where no nodata value marks these."""
     found = []
     for view in views:
         progress.step(0.0, f"black ends of {view.name}")
-        target = str(folder / f"{view.name}.tif")
+        target, fills = str(folder / f"{view.name}.tif"), []
         share = write_collar_mask(
-            view.image, view.band, view.mask, target=target, check=progress.check_cancelled, part=view.part
+            view.image,
+            view.band,
+            view.mask,
+            target=target,
+            check=progress.check_cancelled,
+            part=view.part,
+            told=fills.append,
         )
         if share:
             looked_at = f"the part of '{view.name}' around EXTENT" if view.part else f"'{view.name}'"
-            progress.info(
-                f"{100 * share:.1f} % of the pixels of {looked_at} are black margins that no nodata value marks: they "
-                "are left out."
-            )
+            percent = f"{100 * share:.1f}"
+            if fills:
+                progress.info(
+                    f"{percent} % of the pixels of {looked_at} are margins of the value {fills[0]:g}, or black ones, "
+                    "that no nodata value marks: they are left out."
+                )
+            else:
+                progress.info(
+                    f"{percent} % of the pixels of {looked_at} are black margins that no nodata value marks: they are "
+                    "left out."
+                )
         found.append(replace(view, mask=target) if share else view)
     return tuple(found)
 

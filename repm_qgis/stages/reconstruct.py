@@ -31,6 +31,7 @@ from ..planning.altitudes import AltitudeParameters
 from ..planning.disk_space import heights_need, require_space
 from ..planning.pair_selection import choose_pairs
 from ..pointing.adjustment import Adjustment
+from ..pointing.control_heights import heights_off
 from ..pointing.control_places import require_places
 from ..pointing.ground_control import Gcp, read_gcps
 from ..pointing.pointing import point_views
@@ -181,6 +182,9 @@ def _pointed(
     )
     scene = replace(scene, views=tuple(found.views), pointing=found.figures)
     _write_ties(scene, found.tracks, found.adjusted, found.xy)
+    off = heights_off(gcps, scene.views, tied, found.figures, parameters.pointing)
+    if off is not None:
+        progress.warn(off)
     for finding in advice(scene, scene.pairs, found.figures, parameters.pointing.planning):
         progress.warn(finding)
     return _narrowed(scene, lambda bounds: found.altitudes(bounds, parameters.pointing), parameters.altitudes)

@@ -22,14 +22,18 @@ from ..files.vector import copy_layer, file_and_layer, write_layer
 from ..fusion.own_surface import own_surface
 from ..fusion.reference_waves import with_reference_waves
 from ..geometry.cell_grid import CellGrid
+from ..geometry.frames import geodetic_from_projected
 from ..geometry.tiles import enclosing
 from ..geometry.vertical import HeightDatum, named_datum
 from ..imagery.raster import opened, raster_identity, read, write
 from ..names import scene_title
+from ..numerics.robust import nmad
 from ..planning.height_uncertainty import height_le90_m
 from ..registration.adjustment import Observation, Placed, contradictions, place_scenes
+from ..registration.copies import copies
 from ..registration.laying import Laid, OwnSurface, are_coarse, factor_for, finest_cell, lay, overlaps, prior_of
 from ..registration.moved_scene import moved_scene
+from ..registration.parameters import RegistrationParameters
 from ..registration.references import FoundHeights, read_reference
 from ..registration.solve import Prior, Shift, solve_shift
 from ..registration.stable import stable_cells
@@ -218,6 +222,10 @@ def _work(
         coarse=coarse,
         parameters=parameters.fusion,
     )
+    for later, first in reversed(copies(found, numbers)):
+        text = f"'{found[later].name}' has the same heights as '{found[first].name}': a copy is no second evidence, so "
+        progress.warn(Finding("reference-copied", text + "it is left out."))
+        del found[later]
     if options.stable:
         height[~stable_cells(options.stable, grid, scene.crs)] = np.nan
     surface = OwnSurface(scene.crs, grid, height).averaged(factor_for(found, finest, numbers), numbers.covered)
@@ -227,7 +235,7 @@ def _work(
         laid.append(
             lay(surface, each, datum, prior=prior, tilted=options.model == "tilt", check=check, parameters=numbers)
         )
-        _log(laid[-1], progress)
+        _log(laid[-1], scene, prior, numbers, progress)
     return _Work(scene, surface, prior, tuple(laid))
 
 
@@ -280,6 +288,7 @@ def _moved(
 ) -> Scene:
     """The registered scene, with the layer and the raster that lie beside it."""
     scene, before = work.scene, work.scene.registration
+    _require_found(work, placed, parameters.registration)
     changed, error = moved_scene(scene, placed.ground)
     differences = _write_differences(work, placed.ground)
     ties = ""
@@ -320,6 +329,25 @@ def _moved(
     )
 
 
+def _require_found(work: _Work, placed: Placed, numbers: RegistrationParameters) -> None:
+    """Measure the heights again, where the surface lies now: what is stated must be found. Raises EmptyResultError.
+
+    A position that is not determined stays, and houses stand elsewhere than those of the reference: then differences
+    have their own spread.
+    """
+    for laid in work.laid:
+        left, stated = laid.left_m(placed.ground), float(placed.deviations[2])
+        apart = abs(placed.ground.moved[2] - laid.shift.moved[2])  # from other references, which has its own warning
+        beside = nmad(laid.shift.after_m) if len(placed.determined) < 2 else 0.0
+        most = numbers.contradiction * stated + numbers.least_contradiction_m + apart + beside
+        if not abs(left) <= most:
+            raise EmptyResultError(
+                f"The heights of '{laid.reference.name}' give no reliable shift: after a move of "
+                f"{placed.ground.moved[2]:+.2f} m in height they still lie {left:+.2f} m from the surface, where at "
+                f"most {most:.2f} m are left of a sound one. Give a reference with more heights of this ground."
+            )
+
+
 def _say(figures: RegistrationFigures, progress: Progress) -> None:
     """Log the shift, with a warning where it is more than the vendor promises."""
     east, north, up = figures.latest.moved
@@ -332,7 +360,7 @@ def _say(figures: RegistrationFigures, progress: Progress) -> None:
         progress.warn(finding)
 
 
-def _log(laid: Laid, progress: Progress) -> None:
+def _log(laid: Laid, scene: Scene, prior: Prior, numbers: RegistrationParameters, progress: Progress) -> None:
     figures = laid.figures()
     east, north, up = figures.moved
     if laid.choice:
@@ -340,6 +368,24 @@ def _log(laid: Laid, progress: Progress) -> None:
             progress.info(laid.choice.sentence)
         else:
             progress.warn(Finding("reference-datum-unsure", laid.choice.sentence))
+    if laid.other_datum:
+        progress.warn(Finding("reference-datum-contradicts", laid.other_datum, "doubt"))
+    covered = laid.covered(numbers.cover_parts)
+    if covered < numbers.least_covered:
+        text = (
+            f"'{figures.file}' has heights in {100 * covered:.0f} % of the scene only: the rest is moved by the same "
+            "shift, which nothing there checks. Give a reference of the whole scene."
+        )
+        progress.warn(Finding("reference-covers-little", text))
+    middle = geodetic_from_projected(scene.crs, np.array([laid.means.middle]))[0]
+    cause = laid.cause(numbers.believable * prior.up_m, middle)
+    if cause:
+        text = (
+            f"'{figures.file}' lies {up:+.1f} m from the scene in height, more than {numbers.believable:g} standard "
+            f"deviations of the RPCs' errors ({prior.up_m:.1f} m) explain. It would lie {cause}: check its unit and "
+            "REFERENCE_DATUM."
+        )
+        progress.warn(Finding("reference-unit-or-datum", text, "doubt"))
     progress.info(
         f"'{figures.file}': heights above the {figures.datum}{'' if laid.choice else f' ({figures.datum_from})'}; "
         f"{figures.used} of {figures.seen} heights on the scene's surface are used. They give a shift of "

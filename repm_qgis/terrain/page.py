@@ -24,7 +24,7 @@ def terrain_page(options: DtmOptions, surface: Surface, result: DtmResult) -> Re
     heights: Dict[str, FloatImage] = {}
     cell = 1.0
     for name, path in (("DSM", surface.path), ("terrain", options.output)):
-        heights[name], cell = pictures.preview(path, _PICTURE_PX)
+        heights[name], cell = pictures.preview(path, _PICTURE_PX, heights=True)
     above = heights["DSM"] - heights["terrain"]
     low, high = pictures.percentile_range(heights["DSM"])
     page.section("Pictures")

@@ -348,3 +348,10 @@ def test_the_edits_of_a_dsm_lie_beside_it(tmp_path):
     moved = str(tmp_path / "moved.tif")
     (tmp_path / "dsm_edited.tif").rename(moved)
     assert original_of(moved) == moved
+
+
+@pytest.mark.parametrize("value, words", ((-9999.0, "which means no height"), (9500.0, "heights are -12000 to 9000 m")))
+def test_what_is_no_height_is_not_set(tmp_path, value, words):
+    record = edit(3, "set", box(10, 10, 50, 50), value=value)
+    with pytest.raises(InputTableError, match=f"Edit 3 of .* has the value {value:g}.*{words}"):
+        edited(tmp_path, written(tmp_path), record)

@@ -140,3 +140,18 @@ def test_beside_a_part_no_more_is_read_than_is_needed(ground, found, monkeypatch
     near = Window(0, 300, 300, 100)
     assert all(near.common(window) == window or window.row < 300 and window.width == 200 for window in read_from)
     assert max(window.width * window.height for window in read_from) <= 200 * 300
+
+
+@pytest.mark.parametrize("kind, fill", ((np.uint16, 65535), (np.uint8, 255), (np.float32, 1e6), (np.float32, -3.4e38)))
+def test_ends_of_any_other_value_are_found_to_the_pixel(ground, found, kind, fill):
+    margin = frame()
+    values = (ground // 9 + 4).astype(kind)
+    values[margin] = fill
+    share, mask = found(values)
+    assert share == pytest.approx(mask.mean(), abs=1e-6) and not mask[~margin].any()
+    assert (margin & ~mask).mean() < 0.004
+
+
+def test_even_ground_at_the_ends_stays_where_brighter_and_darker_is_around(ground, found):
+    ground[100:300, :80] = 700  # a field, a roof
+    assert found(ground) == (0.0, None)

@@ -3,6 +3,7 @@
 import io
 import os
 import tarfile
+import time
 import zipfile
 
 import numpy as np
@@ -331,3 +332,14 @@ def test_one_image_in_a_folder_is_not_enough(urban, tmp_path, told):
     with pytest.raises(OptionError, match="at least two images"):
         EpmFitOptions(images=(urban.images[0],), workspace="ws")
     assert InspectOptions(images=(str(tmp_path),)).images == (str(tmp_path),)
+
+
+def test_an_archive_of_many_names_is_refused_at_once(tmp_path):
+    path = str(tmp_path / "many.zip")
+    with zipfile.ZipFile(path, "w") as archive:
+        for number in range(30_000):
+            archive.writestr(f"{number}.tif", b"")
+    begin = time.process_time()
+    with pytest.raises(ImageError, match="many.zip' holds more than 20000 files: choose the folder of one product"):
+        delivered([path])
+    assert time.process_time() - begin < 1.0

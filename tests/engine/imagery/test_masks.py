@@ -140,3 +140,17 @@ def test_masked_pixels_give_no_ties_and_no_heights(urban, tmp_path, told):
     again = told()
     run_stage("epmfit", {"images": urban.images[:2], "workspace": str(tmp_path / "ws")}, again)
     assert not any("Reused" in note for note in again.notes)
+
+
+def test_what_is_read_reduced_leaves_out_each_pixel_that_a_mask_touches(image, tmp_path):
+    """GDAL's mean of a mask is rounded: a pixel of which a tenth is excluded had a tenth of the fill in it."""
+    values = image[1].copy()
+    values[:, :31] = -9999.0
+    hidden = np.zeros(values.shape, np.uint8)
+    hidden[:, :31] = 1
+    path = raster(tmp_path / "filled.tif", values, kind=gdal.GDT_Float32)
+    with opened_masked(path, raster(tmp_path / "hidden.tif", hidden)) as masked:
+        for size in ((10, 8), (97, 77), (33, 80)):
+            reduced = read(masked, None, 1, size)
+            assert np.nanmin(reduced) > 0
+            assert np.isnan(reduced).all(axis=0).sum() == np.ceil(31 * size[0] / 100 - 1e-9)

@@ -311,3 +311,11 @@ def test_the_grey_of_equal_colours_is_exact(tmp_path):
     made = None
     with opened(path) as dataset:
         np.testing.assert_array_equal(read(dataset, None, 0), values.astype(np.float32))
+
+
+@pytest.mark.parametrize("kind", ("CInt16", "CFloat32"))
+def test_complex_pixels_are_refused_at_once(tmp_path, kind):
+    path = str(tmp_path / "radar.tif")
+    gdal.GetDriverByName("GTiff").Create(path, 64, 64, 1, gdal.GetDataTypeByName(kind))
+    with pytest.raises(ImageError, match=f"radar.tif' has complex pixels .{kind}., as radar images have"), opened(path):
+        pass

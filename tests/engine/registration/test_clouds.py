@@ -236,3 +236,12 @@ def test_a_sound_cloud_may_have_records_after_its_points(tmp_path):
     cloud.evlrs = laspy.vlrs.vlrlist.VLRList([laspy.VLR("a", 1, "one", b"12345"), laspy.VLR("b", 2, "two", b"")])
     cloud.write(path)
     assert len(read_cloud(path, UTM, BOUNDS, 5.0).height) > 0
+
+
+def test_few_points_all_over_are_taken_as_they_are(tmp_path):
+    rng = np.random.default_rng(4)
+    x, y = rng.uniform(BOUNDS.xmin, BOUNDS.xmax, 600), rng.uniform(BOUNDS.ymin, BOUNDS.ymax, 600)
+    path = write(tmp_path / "few.laz", x, y, 100 + 0.01 * (x - BOUNDS.xmin))
+    found = read_cloud(path, UTM, BOUNDS, 2.0)
+    assert len(found.height) == 600 and found.width_m == (0.0, 0.0)
+    assert np.abs(found.height - 100 - 0.01 * (found.xy[:, 0] - BOUNDS.xmin)).max() < 0.01

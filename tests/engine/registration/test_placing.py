@@ -37,9 +37,9 @@ def test_one_reference_is_taken_as_it_is():
 
 
 def test_two_references_count_by_their_inverse_variances():
-    first, second = shift((1.0, 0.0, 5.0)), shift((4.0, 2.0, 6.0), (0.4, 0.3, 0.2))
+    first, second = shift((1.0, 0.0, 5.0)), shift((1.3, 0.2, 5.1), (0.4, 0.3, 0.2))
     (found,) = placed(Observation.of_shift("a", first, 0), Observation.of_shift("b", second, 0))
-    assert found.ground.moved == pytest.approx((1.0 + 3.0 / 5, 1.0, 5.0 + 1.0 / 5))
+    assert found.ground.moved == pytest.approx((1.0 + 0.3 / 5, 0.1, 5.0 + 0.1 / 5))
     wanted = [(1 / 0.04 + 1 / 0.16) ** -0.5, 0.3 / 2**0.5, (1 / 0.01 + 1 / 0.04) ** -0.5]
     assert found.deviations == pytest.approx(wanted)
     assert found.ground.tilt == (0.0, 0.0)

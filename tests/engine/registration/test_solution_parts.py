@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from repm_qgis.contracts.errors import EmptyResultError
-from repm_qgis.registration import solve
+from repm_qgis.registration import estimation, solve
+from repm_qgis.registration.estimation import Correlation
 from repm_qgis.registration.parameters import REGISTRATION
-from repm_qgis.registration.solve import Prior, _Correlation, _Problem, _Solution
+from repm_qgis.registration.solve import Prior, _Problem, _Solution
 from repm_qgis.registration.surfaces import Reference
 
 
@@ -50,7 +51,7 @@ def test_a_correlation_is_fitted_as_it_is(form, length):
     """Also with a length near the end of what the distances show, and with a part that is each height's own."""
     lags = np.linspace(1.0, 100.0, 60)
     truth = {"exponential": lambda d: np.exp(-d / length), "gaussian": lambda d: np.exp(-((d / length) ** 2))}[form]
-    found = _Correlation.fitted(lags, 0.7 * truth(lags), np.full(60, 50.0))
+    found = Correlation.fitted(lags, 0.7 * truth(lags), np.full(60, 50.0))
     assert found.at(lags) == pytest.approx(0.7 * truth(lags), abs=0.02)
     assert (found.exponential >= 0).all() and (found.gaussian >= 0).all()
     assert found.at(np.zeros(1))[0] <= 1.0 + 1e-12
@@ -63,17 +64,17 @@ def test_a_correlation_is_fitted_as_it_is(form, length):
 def test_a_correlation_counts_each_distance_as_often_as_it_was_seen():
     lags = np.array([1.0, 10.0, 30.0, 60.0])
     values, wrong = np.exp(-lags / 20.0), np.array([0.0, 0.0, 0.0, 0.6])
-    sure = _Correlation.fitted(lags, values + wrong, np.array([1e6, 1e6, 1e6, 1.0]))
+    sure = Correlation.fitted(lags, values + wrong, np.array([1e6, 1e6, 1e6, 1.0]))
     assert sure.at(lags[:3]) == pytest.approx(values[:3], abs=0.03)
 
 
 def test_without_pairs_nothing_is_correlated():
-    found = _Correlation.fitted(np.empty(0), np.empty(0), np.empty(0))
+    found = Correlation.fitted(np.empty(0), np.empty(0), np.empty(0))
     assert (found.at(np.array([0.0, 5.0])) == 0).all() and found.range_m == 0.0
 
 
 def test_one_distance_makes_a_correlation_too():
-    found = _Correlation.fitted(np.array([3.0]), np.array([0.5]), np.array([10.0]))
+    found = Correlation.fitted(np.array([3.0]), np.array([0.5]), np.array([10.0]))
     assert found.at(np.array([3.0]))[0] == pytest.approx(0.5, abs=1e-6)
     assert found.lengths_m[0] == pytest.approx(3.0) and found.lengths_m[-1] == pytest.approx(6.0)
 
@@ -84,7 +85,7 @@ def test_the_correlation_is_that_of_all_pairs(monkeypatch):
     found, place = solution(rng, 700, noise=2.0)
     found = replace(found, residual=found.residual + 5.0, weight=np.where(np.arange(700) % 7 == 0, 0.0, 1.0))
     given = []
-    monkeypatch.setattr(_Correlation, "fitted", classmethod(lambda cls, *parts: given.append(parts)))
+    monkeypatch.setattr(Correlation, "fitted", classmethod(lambda cls, *parts: given.append(parts)))
     problem(place).correlation(found)
     use = found.weight > 0
     r, at = found.residual[use] / 2.0, place[use]
@@ -109,8 +110,8 @@ def test_correlated_scores_are_summed_as_over_all_pairs(wide):
     x, y = np.meshgrid(*(across, down) if wide else (down, across))
     place = np.column_stack([x.ravel(), y.ravel()]) * 5.0 + (1000.0, -300.0)
     scores = rng.normal(0, 1, (len(place), 3))
-    correlation = _Correlation(np.array([12.0, 30.0]), np.array([0.3, 0.2]), np.array([0.1, 0.15]))
-    found = problem(place)._correlated(scores, place, correlation, lattice)
+    correlation = Correlation(np.array([12.0, 30.0]), np.array([0.3, 0.2]), np.array([0.1, 0.15]))
+    found = estimation.correlated_sum(scores, place, correlation, lattice)
     apart = np.hypot(*(place[:, None] - place[None]).T)
     rho = correlation.at(apart) + 0.25 * np.eye(len(place))  # a quarter is each score's own
     assert found == pytest.approx(scores.T @ rho @ scores, rel=1e-6)
@@ -119,7 +120,7 @@ def test_correlated_scores_are_summed_as_over_all_pairs(wide):
 def test_without_correlation_the_covariance_is_that_of_least_squares():
     rng = np.random.default_rng(2)
     found, place = solution(rng, residual=lambda place: np.zeros(len(place)), noise=0.5)
-    none = _Correlation(np.ones(1), np.zeros(1), np.zeros(1))
+    none = Correlation(np.ones(1), np.zeros(1), np.zeros(1))
     basis = np.eye(5)
     every = np.ones(len(place), bool)
     covariance = problem(place).covariance(found, basis, none, every, 50)
@@ -138,7 +139,7 @@ def test_residuals_near_the_limit_count_less_in_the_covariance():
     found, place = solution(rng, noise=2.0)
     u = found.residual / 2.0 / REGISTRATION.tukey
     found = replace(found, weight=(1 - u**2) ** 2)
-    none = _Correlation(np.ones(1), np.zeros(1), np.zeros(1))
+    none = Correlation(np.ones(1), np.zeros(1), np.zeros(1))
     basis = np.eye(5)[:, 2:3]
     covariance = problem(place).covariance(found, basis, none, np.ones(len(place), bool), 50)
     normal = ((1 - u**2) * (1 - 5 * u**2) / 4.0).sum()
@@ -183,7 +184,7 @@ def test_directions_that_are_put_back_take_their_height_along():
     heights = Slope().at(place[:, 0] - 4.0, place[:, 1] - 7.0)[0] + 3.0
     asked = problem(place, heights=heights)
     made = asked.solve(np.array([4.0, 7.0, 3.0]), np.empty((0, 2)), False, lambda: None)
-    none = _Correlation(np.ones(1), np.zeros(1), np.zeros(1))
+    none = Correlation(np.ones(1), np.zeros(1), np.zeros(1))
     moved, _, _ = asked.back((made, np.zeros((5, 5)), none), np.array([[0.0, 1.0]]), False)
     # The slope to the north is free: it takes the height's change, as far as a plane tells the two apart.
     assert moved.unknowns[0] == pytest.approx(0.0, abs=1e-9)
@@ -202,10 +203,10 @@ def test_a_tilt_is_carried_where_both_ends_are_certain():
 
 def test_of_many_heights_so_many_pairs_are_taken():
     numbers = np.arange(1000) * 3
-    some = solve._some(numbers, 5000, 0)
+    some = estimation.some_of(numbers, 5000, 0)
     assert len(some) == 100 and (np.diff(some) > 0).all() and set(some) <= set(numbers)
-    assert (solve._some(numbers[:100], 5000, 0) == numbers[:100]).all()
-    assert len(solve._some(numbers[:101], 5000, 0)) == 100
+    assert (estimation.some_of(numbers[:100], 5000, 0) == numbers[:100]).all()
+    assert len(estimation.some_of(numbers[:101], 5000, 0)) == 100
 
 
 def test_too_few_heights_are_counted():
@@ -256,7 +257,7 @@ def test_parts_ask_for_the_weighted_mean_of_their_own_differences():
     weight[few] = 0.0
     unknowns = np.array([1.0, -2.0, 4.0, 1e-3, -2e-3])
     found = replace(found, noise=noise, weight=weight, unknowns=unknowns, residual=found.residual * 0.3 + column)
-    none = _Correlation(np.ones(1), np.zeros(1), np.zeros(1))
+    none = Correlation(np.ones(1), np.zeros(1), np.zeros(1))
     offsets = list(problem(place).local_offsets(found, np.empty((0, 2)), none))
     assert len(offsets) == 15
     for offset in offsets:

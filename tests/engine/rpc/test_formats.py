@@ -571,3 +571,20 @@ def test_tags_written_by_our_simulation_are_gdals(tmp_path, write_image, synthet
     image = write_image(tmp_path / "a.tif", rpc=synthetic_rpc())
     with opened(image) as dataset:
         assert float(dataset.GetMetadata("RPC")["LINE_OFF"]) == float(rpc_tags(synthetic_rpc())["LINE_OFF"])
+
+
+def test_an_rpb_without_semicolons_is_read_as_gdal_reads_it(tmp_path, synthetic_rpc):
+    rpc = synthetic_rpc()
+    text = rpb(rpc)
+    for plain in (text.replace(";", ""), text.replace(";", "").replace(");", "\n\t)"), text.replace(");", "\n\t);")):
+        assert same(read_rpc_file(written(tmp_path, plain)), rpc)
+    assert "its LINE_OFF is" in refused(tmp_path, text.replace("lineOffset = ", "lineOffset = 1 2 ").replace(";", ""))
+    for name in ("LINE_OFF", "SAMP_SCALE"):
+        assert name in str(rpc_tags(rpc))
+
+
+@pytest.mark.parametrize("number", (1, 2))
+def test_the_shared_rpb_without_semicolons(shared_data, number):
+    rpc = read_rpc_file(str(shared_data / "cases" / "rpb_plain" / f"img{number}.rpb"))
+    tags = gdal.Open(str(shared_data / "pleiades_triplet" / f"img_0{number}.tif")).GetMetadata("RPC")
+    assert rpc.lat_off == pytest.approx(float(tags["LAT_OFF"])) and len(rpc.row_num) == 20

@@ -10,7 +10,7 @@ import pytest
 from osgeo import gdal, osr
 from pyproj import Transformer
 
-from repm_qgis.contracts.errors import EmptyResultError, RepmError, WorkspaceError
+from repm_qgis.contracts.errors import EmptyResultError, OverlapError, RepmError, WorkspaceError
 from repm_qgis.solids import tiles3d
 from repm_qgis.solids.tiles3d import write_tiles3d
 from repm_qgis.stages import run_stage
@@ -265,3 +265,23 @@ def test_cesium_draws_all_levels(made, tmp_path):
     middle = picture[:, 150:450, 200:600].astype(int)
     assert loaded >= 5
     assert (middle.max(axis=0) > 40).mean() > 0.8 and middle.std() > 10, "the surface is in the middle of the picture"
+
+
+def test_an_orthophoto_of_another_place_is_refused_and_a_part_is_named(tmp_path, told):
+    dsm = write(tmp_path / "dsm.tif", town())
+    for name, east, raised in (("beside", 400.0, True), ("half", 150.0, False)):
+        ortho = str(tmp_path / f"{name}.tif")
+        raster = gdal.GetDriverByName("GTiff").Create(ortho, COLUMNS, ROWS, 3, gdal.GDT_Byte)
+        raster.SetGeoTransform((WEST + east, CELL, 0, NORTH, 0, -CELL))
+        raster.SetProjection(gdal.Open(dsm).GetProjection())
+        raster = None
+        said, options = told(), {"dsm": dsm, "ortho": ortho, "tiles3d": str(tmp_path / name)}
+        if raised:
+            with pytest.raises(
+                OverlapError, match="The orthophoto '.*beside.tif' does not lie over the DSM '.*dsm.tif'"
+            ):
+                run_stage("tiles3d", options, said)
+            assert not (tmp_path / name).exists()
+        else:
+            run_stage("tiles3d", options, said)
+            assert any("covers 50 % of the DSM" in text for text in said.warnings)

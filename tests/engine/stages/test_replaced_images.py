@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from pathlib import Path
@@ -76,7 +77,7 @@ def test_the_orthophoto_is_of_the_same_pixels(fitted, tmp_path, told):
 
 @pytest.mark.long
 def test_amid_the_orthophoto(fitted, tmp_path, told, monkeypatch):
-    """One of other pixels than the DSM's does not take its name."""
+    """One of other pixels than the DSM's does not take its name, and the products appear together."""
     images, options = fitted
     made = run_stage("reconstruct", options, told())
     last = grey_ortho.run_tasks
@@ -84,7 +85,7 @@ def test_amid_the_orthophoto(fitted, tmp_path, told, monkeypatch):
     products = {"output": str(tmp_path / "dsm.tif"), "ortho": str(tmp_path / "ortho.tif"), "workers": 1}
     with pytest.raises(SceneError, match=WORDS):
         run_stage("dsmfuse", {"scene": made.output_scene, **products}, told())
-    assert (tmp_path / "dsm.tif").exists() and not (tmp_path / "ortho.tif").exists()
+    assert not (tmp_path / "dsm.tif").exists() and not (tmp_path / "ortho.tif").exists()
 
 
 def test_amid_the_export(fitted, tmp_path, told, monkeypatch):
@@ -140,3 +141,13 @@ def test_a_vrt_has_the_content_of_its_sources(fitted, tmp_path):
     before = content_of(path)
     replace_image(images[1])
     assert content_of(path) != before
+
+
+def test_an_rpc_that_was_changed_in_the_scene(fitted, told):
+    _, options = fitted
+    document = json.loads(Path(options["scene"]).read_text(encoding="utf-8"))
+    document["views"][1]["rpc"]["row_off"] += 100.0
+    Path(options["scene"]).write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(SceneError, match="has an RPC that is not the one which was read from '.*img_02.tif'"):
+        run_stage("reconstruct", options, told())
+    assert not Path(options["output_scene"]).exists()

@@ -1,0 +1,472 @@
+"""Trials of the algorithms after the DSM: inputs that are drawn at random from surfaces known by formula, with what the
+result must be.
+
+Half of the trials are sound: their result must be right, without a warning. The others have one fault that real data
+have: the result must be right, refused, or named.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Callable, Dict, List, Optional, Tuple
+
+import numpy as np
+
+from benchmarks.runner import stage
+from benchmarks.twin_world import FEET, SIDE_M, Form, World, between, read, undulation, write, write_boxes, write_errors
+from repm_qgis.contracts.findings import Finding
+from repm_qgis.contracts.stages import (
+    BUILDINGS,
+    CHANGE,
+    CHECKGCPS,
+    COMPAREDSM,
+    DTM,
+    EDITDSM,
+    MOSAIC,
+    SERIES,
+    TILES3D,
+)
+from repm_qgis.runtime.progress import Silent
+
+_HALVES = (-SIDE_M / 2, -SIDE_M / 2, 0.0, SIDE_M / 2)
+_GEOID_GAP = 46.7
+Fault = Callable[[Form], Form]
+"""What is wrong with a raster: its form with the fault."""
+
+
+class Heard(Silent):
+    """Keeps what a run warns of."""
+
+    def __init__(self) -> None:
+        self.findings: List[Finding] = []
+
+    def warn(self, finding: Finding) -> None:
+        self.findings.append(finding)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What is tried, whether its input is sound, and the run, which gives "" or what is wrong with its result."""
+
+    what: str
+    sound: bool
+    run: Callable[[Heard], str]
+
+
+@dataclass(frozen=True)
+class Draw:
+    """A trial's world, its folder and its random numbers."""
+
+    world: World
+    folder: Path
+    rng: np.random.Generator
+
+    def path(self, name: str) -> str:
+        return str(self.folder / name)
+
+    def form(self, **fixed: object) -> Form:
+        """A sound form: any CRS, cell, datum, unit, holes and type of numbers."""
+        rng = self.rng
+        crs = [self.world.utm(), self.world.utm(), self.world.utm(1), "EPSG:3857", "EPSG:3035"][rng.integers(5)]
+        unit = ["m", "m", "ft"][rng.integers(3)]
+        form = Form(
+            crs=crs,
+            cell=float([0.5, 0.6, 0.75, 1.0][rng.integers(4)]),
+            datum=["ellipsoid", "EGM96"][rng.integers(2)],
+            unit=unit,
+            scaled=unit == "m" and rng.random() < 0.2,
+            holes=float([0.0, 0.0, 0.04][rng.integers(3)]),
+            fill=float([-9999.0, 32767.0, -3.4e38][rng.integers(3)]),
+        )
+        form = replace(form, fill=-9999.0) if form.scaled and form.fill < -1e6 else form
+        return replace(form, **fixed)  # type: ignore[arg-type]
+
+    def any_fault(self) -> Tuple[str, Fault]:
+        """A fault that any raster of heights may have."""
+        names = list(FAULTS)
+        name = names[self.rng.integers(len(names))]
+        return name, FAULTS[name]
+
+
+FAULTS: Dict[str, Fault] = {
+    "datum that nothing states, 46.7 m away": lambda f: replace(f, datum="", added=f.added - _GEOID_GAP, unit="m"),
+    "feet that nothing states": lambda f: replace(f, unit="ft", states_unit=False, scaled=False),
+    "void of -9999 that nothing declares": lambda f: _void(f, -9999.0),
+    "void of 32767 that nothing declares": lambda f: _void(f, 32767.0),
+    "void of -3.4e38 that nothing declares": lambda f: replace(_void(f, -3.4028234663852886e38), scaled=False),
+    "void of 0 that nothing declares": lambda f: _void(f, 0.0),
+    "place 25 m beside": lambda f: replace(f, moved=(25.0, 0.0)),
+    "CRS of the zone beside": lambda f: replace(f, crs_of_file=_beside(f.crs)),
+}
+
+
+def _void(form: Form, fill: float) -> Form:
+    return replace(form, holes=0.06, fill=fill, declares=False, unit="m")
+
+
+def _beside(crs: str) -> str:
+    code = int(crs.split(":")[1])
+    return f"EPSG:{code + 1}" if 32600 < code < 32660 else crs
+
+
+def _apart(value: float, true: float, most: float, what: str) -> str:
+    """What is wrong with a figure that may be off by so much; "" where nothing is."""
+    return "" if abs(value - true) <= most else f"{what} is {value:.2f} instead of {true:.2f} (at most {most:.2f} off)"
+
+
+def _first(*found: str) -> str:
+    return next(filter(None, found), "")
+
+
+def change(draw: Draw) -> Trial:
+    """Two dates: the volumes of a heap and a pit, and how the second date was moved."""
+    before, rng = draw.world, draw.rng
+    after = before.with_changes()
+    moved = tuple(map(float, rng.uniform(-0.8, 0.8, 2)))
+    # Without a datum that both state, a height between the dates is what the alignment takes out.
+    one = draw.form(sigma=0.1, holes=0.0, scaled=False)
+    two = draw.form(sigma=0.1, holes=0.0, scaled=False, moved=moved, added=float(rng.uniform(-1, 1)))
+    two = replace(two, metadata={"REPM_DAYS": "2024-05-01"})
+    one = replace(one, metadata={"REPM_DAYS": "2020-05-01"})
+    kinds = ["", "", "", "raster", "gap", "moved", "reversed", "copy", "zero errors"]
+    kind, fault, hole = kinds[rng.integers(len(kinds))], "", None
+    conf_two = two
+    if kind == "raster":
+        fault, change_it = draw.any_fault()
+        two = conf_two = change_it(two)
+    elif kind == "gap":
+        fault, hole = "expected errors without those of the heap", after.changes[0]
+    elif kind == "moved":
+        fault, conf_two = "expected errors of a place 40 m beside", replace(two, covers=_moved(two.covers, 40.0))
+    elif kind == "reversed":
+        fault = "dates in reverse"
+    elif kind == "copy":
+        fault = "a copy as the second date"
+    elif kind == "zero errors":
+        fault = "expected errors of 0"
+
+    def run(heard: Heard) -> str:
+        error = 0.0 if kind == "zero errors" else 0.1
+        paths = {"before": write(draw.path("a.tif"), before, one, seed=1)}
+        paths["after"] = write(draw.path("b.tif"), before if kind == "copy" else after, two, seed=2)
+        if kind == "copy":
+            write(draw.path("b.tif"), before, one, seed=1)
+        paths["before_confidence"] = write_errors(draw.path("ca.tif"), before, one, error)
+        own = one if kind == "copy" else conf_two
+        paths["after_confidence"] = write_errors(draw.path("cb.tif"), after, own, error, hole)
+        added, taken = after.volumes()
+        if kind == "reversed":
+            paths = {
+                "before": paths["after"],
+                "after": paths["before"],
+                "before_confidence": paths["after_confidence"],
+                "after_confidence": paths["before_confidence"],
+            }
+        made = stage(CHANGE, heard, output=draw.path("d.tif"), report=draw.path("r.html"), **paths)
+        return _first(
+            _apart(made.gained_m3, added, 3 * made.gained_deviation_m3 + 0.08 * added, "what was gained, m3,"),
+            _apart(made.lost_m3, taken, 3 * made.lost_deviation_m3 + 0.08 * taken, "what was lost, m3,"),
+            _apart(made.dx, -moved[0], 0.2, "the shift to the east, m,"),
+            _apart(made.dy, -moved[1], 0.2, "the shift to the north, m,"),
+        )
+
+    return Trial(fault or "sound", not fault, run)
+
+
+def _moved(covers: Tuple[float, float, float, float], east: float) -> Tuple[float, float, float, float]:
+    return covers[0] + east, covers[1], covers[2] + east, covers[3]
+
+
+def series(draw: Draw) -> Trial:
+    """Five dates of a box that rises: its volume against the first date."""
+    world, rng = draw.world, draw.rng
+    box = (-25.0, -25.0, 25.0, 25.0)
+    rate = float(rng.uniform(0.8, 2.0))
+    form = draw.form(sigma=0.1, scaled=False)
+    kinds = ["", "", "", "raster", "copy", "reversed", "year", "offset"]
+    kind, fault, change_it = kinds[rng.integers(len(kinds))], "", None
+    if kind == "raster":
+        fault, change_it = draw.any_fault()
+    elif kind:
+        fault = {
+            "copy": "a copy as a date",
+            "reversed": "DATES in reverse",
+            "year": "a year that cannot be",
+            "offset": "one date 2 m too high",
+        }[kind]
+
+    def run(heard: Heard) -> str:
+        days, paths = [f"{2018 + 2 * k}-05-01" for k in range(4)], []
+        for k, day in enumerate(days):
+            dated = replace(form, metadata={"REPM_DAYS": day})
+            if k == 2 and change_it is not None:
+                dated = change_it(dated)
+            if k == 2 and kind == "offset":
+                dated = replace(dated, added=2.0)
+            date = replace(world, changes=((*box, 2 * rate * k),))
+            source = k - 1 if kind == "copy" and k == 3 else k
+            path = write(
+                draw.path(f"{k}.tif"), replace(world, changes=((*box, 2 * rate * source),)), dated, seed=source
+            )
+            assert date.lon == world.lon
+            paths.append(path)
+        said = list(reversed(days)) if kind == "reversed" else list(days)
+        if kind == "year":
+            said[3] = ["0018-05-01", "2320-05-01"][int(rng.integers(2))]
+        areas = write_boxes(draw.path("areas.geojson"), world, ((*box, 0.0),))
+        made = stage(
+            SERIES, heard, dsms=paths, dates=said, areas=areas, output=draw.path("s.tif"), report=draw.path("r.html")
+        )
+        true = 6 * rate * 2500.0
+        return _apart(made.volume_m3, true, 3 * made.volume_deviation_m3 + 0.05 * true, "the volume, m3,")
+
+    return Trial(fault or "sound", not fault, run)
+
+
+def mosaic(draw: Draw) -> Trial:
+    """Two DSMs that overlap: the mosaic's heights are those of the formula."""
+    world, rng = draw.world, draw.rng
+    left = draw.form(covers=(-SIDE_M / 2, -SIDE_M / 2, 20.0, SIDE_M / 2))
+    right = draw.form(covers=(-20.0, -SIDE_M / 2, SIDE_M / 2, SIDE_M / 2), datum=left.datum)
+    kinds = ["", "", "raster", "copy"]
+    kind, fault = kinds[rng.integers(len(kinds))], ""
+    if kind == "raster":
+        fault, change_it = draw.any_fault()
+        right = change_it(right)
+    elif kind:
+        fault = "a copy as a second DSM"
+
+    def run(heard: Heard) -> str:
+        one = write(draw.path("a.tif"), world, left, seed=1)
+        other = write(draw.path("b.tif"), world, left if kind == "copy" else right, seed=1 if kind == "copy" else 2)
+        made = stage(MOSAIC, heard, dsms=[one, other], output=draw.path("m.tif"), report=draw.path("r.html"))
+        above = undulation(world.lon, world.lat) if left.datum == "EGM96" else 0.0
+        return _heights_right(str(made.output), world, above, 0.25)
+
+    return Trial(fault or "sound", not fault, run)
+
+
+def _heights_right(path: str, world: World, above: float, most: float, heights: str = "surface") -> str:
+    """What is wrong with the heights of a raster whose zero lies so far above the ellipsoid."""
+    values, x, y = read(path, world)
+    away = values + above - getattr(world, heights)(x, y)
+    low, middle, high = np.percentile(away, (10, 50, 90))
+    return _first(
+        _apart(float(middle), 0.0, most, "the median height error, m,"), _apart(low, 0.0, 4 * most, "P10, m,")
+    )[:200] or _apart(float(high), 0.0, 4 * most, "P90, m,")
+
+
+def comparedsm(draw: Draw) -> Trial:
+    """A DSM with a known bias against a reference."""
+    world, rng = draw.world, draw.rng
+    bias = float(rng.uniform(-1.0, 1.0))
+    dsm, reference = draw.form(added=bias), draw.form()
+    kinds = ["", "", "raster", "copy", "part"]
+    kind, fault = kinds[rng.integers(len(kinds))], ""
+    if kind == "raster":
+        fault, change_it = draw.any_fault()
+        reference = change_it(reference)
+    elif kind == "copy":
+        fault = "the DSM as its own reference"
+    elif kind == "part":
+        fault, dsm = (
+            "a DSM of a twentieth of the reference",
+            replace(dsm, covers=(-60.0, -60.0, -33.0, -33.0), holes=0.0),
+        )
+
+    def run(heard: Heard) -> str:
+        one = write(draw.path("a.tif"), world, dsm, seed=1)
+        other = one if kind == "copy" else write(draw.path("b.tif"), world, reference, seed=2)
+        if kind == "copy":
+            other = write(draw.path("c.tif"), world, dsm, seed=1)
+        made = stage(COMPAREDSM, heard, dsm=one, reference=other, report=draw.path("r.html"))
+        return _first(
+            _apart(float(made.bias if made.bias is not None else np.nan), bias, 0.12, "the bias, m,"),
+            _apart(float(made.nmad if made.nmad is not None else np.nan), 0.12, 0.25, "the NMAD, m,"),
+        )
+
+    return Trial(fault or "sound", not fault, run)
+
+
+def dtm(draw: Draw) -> Trial:
+    """The terrain below a DSM is the ground of the formula."""
+    world, rng = draw.world, draw.rng
+    form = draw.form(datum="ellipsoid")
+    kinds = ["", "", "raster", "steep"]
+    kind, fault = kinds[rng.integers(len(kinds))], ""
+    if kind == "raster":
+        fault, change_it = draw.any_fault()
+        form = change_it(form)
+    elif kind == "steep":
+        fault = "ground steeper than SLOPE"
+        world = replace(world, slope=(float(rng.uniform(0.7, 1.2)), 0.0))
+
+    def run(heard: Heard) -> str:
+        path = write(draw.path("a.tif"), world, form, seed=1)
+        made = stage(DTM, heard, dsm=path, output=draw.path("t.tif"), report=draw.path("r.html"))
+        return _heights_right(str(made.output), world, 0.0, 0.3, "ground")
+
+    return Trial(fault or "sound", not fault, run)
+
+
+def buildings(draw: Draw) -> Trial:
+    """Number, area and volume of the houses."""
+    world, rng = draw.world, draw.rng
+    while len(world.houses) < 2:
+        world = World.drawn(int(rng.integers(1 << 30)))
+    flat = {"crs": world.utm(), "cell": 0.5, "holes": 0.0}
+    dsm, ground = draw.form(**flat), draw.form(**flat)
+    kinds = ["", "", "low", "half", "raster", "terrain"]
+    kind, fault = kinds[rng.integers(len(kinds))], ""
+    if kind == "raster":
+        fault, change_it = draw.any_fault()
+        dsm = change_it(dsm)
+    elif kind == "terrain":
+        fault, change_it = draw.any_fault()
+        fault, ground = f"terrain: {fault}", change_it(ground)
+    elif kind == "low":
+        fault, ground = "a terrain 46.7 m lower", replace(ground, added=-_GEOID_GAP)
+    elif kind == "half":
+        fault, ground = "a terrain of one half", replace(ground, covers=_HALVES)
+
+    def run(heard: Heard) -> str:
+        path = write(draw.path("a.tif"), world, dsm, seed=1)
+        below = write(draw.path("t.tif"), world, ground, "ground", seed=2)
+        report = draw.path("r.html")
+        made = stage(BUILDINGS, heard, dsm=path, dtm=below, output=draw.path("b.gpkg"), report=report)
+        area = sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1, _ in world.houses)
+        volume = sum((x1 - x0) * (y1 - y0) * height for x0, y0, x1, y1, height in world.houses)
+        return _first(
+            _apart(float(made.n_buildings), float(len(world.houses)), 0.0, "the number of buildings"),
+            _apart(made.area_m2, area, 0.1 * area + 5, "their area, m2,"),
+            _apart(made.volume_m3, volume, 0.12 * volume + 30, "their volume, m3,"),
+        )
+
+    return Trial(fault or "sound", not fault, run)
+
+
+def editdsm(draw: Draw) -> Trial:
+    """A box whose heights are set."""
+    world, rng = draw.world, draw.rng
+    form = draw.form(datum="ellipsoid")
+    box, value = (-15.0, -12.0, 14.0, 13.0, 0.0), float(world.base + rng.uniform(-3, 3))
+    kinds = ["", "", "raster", "value"]
+    kind, fault = kinds[rng.integers(len(kinds))], ""
+    if kind == "raster":
+        fault, change_it = draw.any_fault()
+        form = change_it(form)
+    elif kind == "value":
+        fault, value = "a height that cannot be", float([-9999.0, 32767.0, -3.4e38][rng.integers(3)])
+
+    def run(heard: Heard) -> str:
+        path = write(draw.path("a.tif"), world, form, seed=1)
+        edits = write_boxes(draw.path("e.geojson"), world, (box,))
+        document = json.loads(Path(edits).read_text(encoding="utf-8"))
+        document["features"][0]["properties"] = {"number": 1, "operation": "set", "value": value, "enabled": 1}
+        Path(edits).write_text(json.dumps(document), encoding="utf-8")
+        made = stage(EDITDSM, heard, dsm=path, edits=edits, output=draw.path("o.tif"))
+        set_to = replace(world, houses=(), slope=(0.0, 0.0), relief=0.0, base=value, changes=())
+        values, x, y = read(str(made.output), world)
+        inside = (abs(x + 0.5) < 13.0) & (abs(y - 0.5) < 11.0)
+        away = values[inside] - set_to.surface(x[inside], y[inside])
+        outside = (abs(x + 0.5) > 16.0) | (abs(y - 0.5) > 14.0)
+        rest = values[outside] - world.surface(x[outside], y[outside])
+        return _first(
+            _apart(float(np.abs(away).max(initial=0.0)), 0.0, 0.01, "the height in the box, m,"),
+            _apart(float(np.percentile(np.abs(rest), 90)), 0.0, 0.5, "P90 of the errors outside, m,"),
+        )
+
+    return Trial(fault or "sound", not fault, run)
+
+
+def checkgcps(draw: Draw) -> Trial:
+    """Points of known height on a DSM with a known bias."""
+    world, rng = draw.world, draw.rng
+    bias = float(rng.uniform(-0.4, 0.4))
+    form = draw.form(added=bias, datum="ellipsoid", holes=0.0)
+    kinds = ["", "", "raster", "feet", "geoid", "turned"]
+    kind, fault = kinds[rng.integers(len(kinds))], ""
+    if kind == "raster":
+        fault, change_it = draw.any_fault()
+        form = change_it(form)
+    elif kind:
+        fault = {"feet": "points in feet", "geoid": "points above a geoid", "turned": "latitude as longitude"}[kind]
+
+    def run(heard: Heard) -> str:
+        path = write(draw.path("a.tif"), world, form, seed=1)
+        x, y = rng.uniform(-45, 45, (2, 30))
+        height = world.surface(x, y)
+        lon, lat = between(world.crs, "EPSG:4326").transform(x, y)
+        if kind == "feet":
+            height = height / FEET
+        if kind == "geoid":
+            height = height - undulation(world.lon, world.lat)
+        lon, lat = (lat, lon) if kind == "turned" else (lon, lat)
+        with open(draw.path("p.csv"), "w", newline="", encoding="utf-8") as stream:
+            table = csv.writer(stream)
+            table.writerow(["id", "lon", "lat", "height", "role"])
+            table.writerows(
+                [f"P{k}", f"{a:.9f}", f"{b:.9f}", f"{h:.3f}", "check"]
+                for k, (a, b, h) in enumerate(zip(lon, lat, height))
+            )
+        made = stage(CHECKGCPS, heard, gcps=draw.path("p.csv"), dsm=path, report=draw.path("r.html"))
+        return _apart(float(made.dsm_medae or np.nan), abs(bias), 0.2, "the median absolute error, m,")
+
+    return Trial(fault or "sound", not fault, run)
+
+
+def tiles3d(draw: Draw) -> Trial:
+    """The tileset's box lies where the surface is."""
+    world, rng = draw.world, draw.rng
+    form = draw.form()
+    kinds = ["", "", "raster", "picture"]
+    kind, fault = kinds[rng.integers(len(kinds))], ""
+    if kind == "raster":
+        fault, change_it = draw.any_fault()
+        form = change_it(form)
+    elif kind == "picture":
+        fault = "a picture of another place"
+
+    def run(heard: Heard) -> str:
+        path = write(draw.path("a.tif"), world, form, seed=1)
+        extra: Dict[str, str] = {}
+        if kind == "picture":
+            beside = replace(form, covers=(500.0, 500.0, 560.0, 560.0))
+            extra = {"ortho": write(draw.path("o.tif"), world, beside, seed=3)}
+        made = stage(TILES3D, heard, dsm=path, tiles3d=draw.path("t"), **extra)
+        root = json.loads(Path(made.tileset).read_text(encoding="utf-8"))["root"]
+        return _box_right(root["boundingVolume"]["box"], root.get("transform"), world)
+
+    return Trial(fault or "sound", not fault, run)
+
+
+def _box_right(box: List[float], transform: Optional[List[float]], world: World) -> str:
+    """What is wrong with the middle of a tileset's box, and with how high it is."""
+    matrix = np.array(transform or np.eye(4).ravel().tolist()).reshape(4, 4).T
+    middle = (matrix @ [*box[:3], 1.0])[:3]
+    lon, lat, height = between_ecef().transform(*middle)
+    x, y = between(world.crs, "EPSG:4326").transform(lon, lat, direction="INVERSE")
+    grid = np.meshgrid(*[np.linspace(-SIDE_M / 2, SIDE_M / 2, 241)] * 2)
+    surface = world.surface(*grid)
+    low, high = float(surface.min()), float(surface.max())
+    half = float(np.linalg.norm(np.array(box[9:12])))
+    return _first(
+        _apart(float(np.hypot(x, y)), 0.0, 3.0, "the distance of the box's middle, m,"),
+        _apart(height, (low + high) / 2, 1.0, "the height of the box's middle, m,"),
+        _apart(half, (high - low) / 2, 1.0, "half the height of the box, m,"),
+    )
+
+
+def between_ecef() -> "pyproj.Transformer":  # type: ignore[name-defined]  # noqa: F821
+    """From geocentric coordinates to longitude, latitude and ellipsoidal height."""
+    import pyproj
+
+    return pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
+
+
+TRIALS: Dict[str, Callable[[Draw], Trial]] = {
+    each.__name__: each for each in (change, series, mosaic, comparedsm, dtm, buildings, editdsm, checkgcps, tiles3d)
+}

@@ -1,0 +1,82 @@
+"""Never silently wrong: trials with known truth over the algorithms after the DSM, over registration, and twins of runs
+of the pipeline. Each ends right, refused, named by a warning, or silently wrong."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Dict, Iterator, List, Tuple
+
+import numpy as np
+
+from benchmarks.runner import is_quick, say
+from benchmarks.tables import Section, table
+from benchmarks.twin_trials import TRIALS, Draw, Heard, Trial
+from benchmarks.twin_world import World
+from repm_qgis.contracts.errors import RepmError
+
+_SEED = 20261127
+_EACH, _QUICK = 210, 4
+OUTCOMES = ("right", "refused", "named", "silently wrong", "crashed", "false alarm")
+
+
+def outcome(trial: Trial) -> Tuple[str, str]:
+    """How a trial ended, one of :data:`OUTCOMES`, with the sentence that says why."""
+    heard = Heard()
+    try:
+        wrong = trial.run(heard)
+    except RepmError as error:
+        return ("false alarm" if trial.sound else "refused"), f"{type(error).__name__}: {error}"
+    except Exception as error:  # a crash is what is looked for
+        return "crashed", f"{type(error).__name__}: {error}"
+    if heard.findings:
+        named = "; ".join(map(str, heard.findings))
+        return ("false alarm" if trial.sound else "named"), f"{named}. {wrong}"
+    return ("silently wrong" if wrong else "right"), wrong
+
+
+def tried(name: str, count: int, seed: int = _SEED) -> Iterator[Tuple[Trial, str, str]]:
+    """So many trials of one algorithm: each with its outcome and the sentence about it."""
+    for number in range(count):
+        own = [seed, sorted(TRIALS).index(name), number]
+        rng = np.random.default_rng(own)
+        with tempfile.TemporaryDirectory() as folder:
+            trial = TRIALS[name](Draw(World.drawn(int(rng.integers(1 << 30))), Path(folder), rng))
+            kind, why = outcome(trial)
+        if kind in ("silently wrong", "crashed", "false alarm"):
+            say(f"{name} {number}: {trial.what}: {kind}: {why[:300]}")
+        yield trial, kind, why
+
+
+def after_the_dsm() -> List[str]:
+    """All algorithms that take DSMs."""
+    rows: List[List[object]] = []
+    faults: Dict[Tuple[str, str], int] = Counter()
+    start = time.monotonic()
+    for name in TRIALS:
+        counts: Dict[str, int] = Counter()
+        for trial, kind, _ in tried(name, _QUICK if is_quick() else _EACH):
+            counts[kind] += 1
+            counts["sound"] += trial.sound
+            faults[trial.what.replace("terrain: ", ""), kind] += 1
+        rows.append(
+            [f"`repm:{name}`", sum(counts[kind] for kind in OUTCOMES), counts["sound"]] + [counts[k] for k in OUTCOMES]
+        )
+    total = [sum(int(str(row[index])) for row in rows) for index in range(1, len(rows[0]))]
+    rows.append(["all", *total])
+    say(f"{total[0]} trials in {time.monotonic() - start:.0f} s")
+    kinds = sorted({what for what, _ in faults})
+    by_fault = [[what, *(faults[what, kind] for kind in OUTCOMES)] for what in kinds]
+    return [
+        "Surfaces that are known by formula, at random places in Europe: hills, houses, heaps and pits. CRS, cells, "
+        "datum, unit, holes and type of numbers are drawn; half of the trials are sound, the others have one fault. "
+        f"Seed {_SEED}.",
+        table(["algorithm", "trials", "sound", *OUTCOMES], rows),
+        "By fault:",
+        table(["fault", *OUTCOMES], by_fault),
+    ]
+
+
+SECTIONS = [Section("twins", "Never silently wrong", "make bench-twins", {"after": after_the_dsm})]
