@@ -139,6 +139,15 @@ class View(Record):
         return self.rpc if self.plane is None else OrthoReady(self.rpc, self.plane)
 
     @property
+    def elongation(self) -> float:
+        """How many times as long as wide pixels are on the ground, at the image's middle; 1 for squares."""
+        middle = (np.array(self.size) - 1) / 2
+        ground = self.localise(middle + np.array([[0, 0], [1, 0], [0, 1]]), self.rpc.height_off)
+        places = EnuFrame(ground[0, 0], ground[0, 1]).from_geodetic(ground)
+        long, short = np.linalg.svd((places[1:] - places[0])[:, :2], compute_uv=False)
+        return float(long / short) if short > 0 else 1.0
+
+    @property
     def time(self) -> Optional[datetime]:
         """When the image was taken; None where it is unknown."""
         return moment(self.acquired)
@@ -396,6 +405,11 @@ class Scene(Record):
     def matched_gsd_m(self, names: Sequence[str]) -> float:
         """The ground sampling distance at which views are matched with each other (:func:`pair_gsd_m`)."""
         return pair_gsd_m(max(self.view(name).gsd_m for name in names), self.gsd_m)
+
+    def matched_side_m(self, names: Sequence[str]) -> float:
+        """The longer side on the ground of the pixels at which views are matched with each other, m: those of an RPC
+        with pixels of 0.06 x 0.5 m have a ground sampling distance of 0.17 m, and lie 0.5 m apart."""
+        return self.matched_gsd_m(names) * math.sqrt(max(self.view(name).elongation for name in names))
 
     @property
     def placed(self) -> str:

@@ -174,6 +174,7 @@ def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]
     """The fused cells of a grid, in blocks that bound the memory and overlap by the reach of the aggregation."""
     parameters = task.parameters
     spacings = [task.step * task.scene.matched_gsd_m(record.pair) for record in task.records]
+    sides = [task.step * task.scene.matched_side_m(record.pair) for record in task.records]
     rim = rim_cells(max(spacings, default=task.scene.gsd_m), grid.cell, parameters.evidence)
     whole = np.empty((2 * FIELDS + 1, *grid.shape), np.float32)
     everything = Window(0, 0, *grid.size)
@@ -181,9 +182,10 @@ def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]
         part = grid.part(wide)
         bounds = part.bounds.grown(part.cell)
         layers: List[HeightLayer] = []
-        for source, record, spacing in zip(sources, task.records, spacings):
+        for source, record, spacing, apart in zip(sources, task.records, spacings, sides):
             heights = source.read(bounds, task.step)
-            layers.append(grid_height_map(part, heights, task.step * record.metres_per_px, spacing, parameters))
+            metres = task.step * record.metres_per_px
+            layers.append(grid_height_map(part, heights, metres, spacing, parameters, apart))
         fused = aggregate(layers, task.method, rim, parameters.evidence)
         inner, target = own.inside(wide), own.inside(everything)
         for array, values in zip(whole, fused.arrays()):
@@ -192,17 +194,24 @@ def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]
 
 
 def grid_height_map(
-    grid: CellGrid, heights: HeightMap, metres_per_px: float, spacing: float, parameters: FusionParameters
+    grid: CellGrid,
+    heights: HeightMap,
+    metres_per_px: float,
+    spacing: float,
+    parameters: FusionParameters,
+    apart: float = 0.0,
 ) -> HeightLayer:
     """A height map on the cells: what was matched and, separately, the background where an occlusion hides it.
+    ``spacing`` and ``apart`` are as of :func:`~repm_qgis.geometry.gridding.grid_points`.
 
     Cells that the background covers more than matched points do, and lies below these, have the background only.
     """
     filled = np.flatnonzero(heights.filled)
     own, gridding = np.where(heights.filled, np.nan, heights.height), parameters.gridding
     matched = remove_isolated_points(own, metres_per_px, parameters.isolated)
+    distances = {"spacing": spacing, "apart": apart}
     height, score, covered = grid_points(
-        grid, heights.x, heights.y, height=matched, score=heights.score, spacing=spacing, parameters=gridding
+        grid, heights.x, heights.y, height=matched, score=heights.score, **distances, parameters=gridding
     )
     known = np.where(heights.filled, heights.height, matched)
     occluded = occluded_ground(replace(heights, height=known), parameters.step_px * metres_per_px)
@@ -211,9 +220,7 @@ def grid_height_map(
     half = parameters.covered * (grid.cell / spacing) ** 2
     if not z.size:
         return HeightLayer(height, score, np.full(grid.shape, np.nan), metres_per_px, spacing, covered < half)
-    background, _, behind = grid_points(
-        grid, x, y, height=z, score=np.zeros(len(z)), spacing=spacing, parameters=gridding
-    )
+    background, _, behind = grid_points(grid, x, y, height=z, score=np.zeros(len(z)), **distances, parameters=gridding)
     # A roof's last pixels reach into cells that are mostly occluded ground.
     with np.errstate(invalid="ignore"):
         mostly_behind = (behind > covered) & (height - background > surface_step(grid.cell, gridding))

@@ -33,17 +33,19 @@ def grid_points(
     height: FloatArray,
     score: Floats,
     spacing: float = math.inf,
+    apart: float = 0.0,
     parameters: GriddingParameters = GRIDDING,
 ) -> Tuple[FloatArray, FloatArray, FloatArray]:
     """Heights of cells from points, their mean matching score, NaN where no point is, and how many points they hold.
 
     A point represents a square of ``spacing`` metres (the distance between neighbouring points; inf: a cell), and
     each cell gets the part of the square that lies in it, so that there are no comb patterns and no shifts. Cells that
-    are finer than that get what a cell as wide as the distance would get around their centre. Where a
+    are finer than that, or than the distance ``apart`` of neighbours in the direction where it is longest (m; 0: it is
+    ``spacing``), get what a cell as wide as the distance would get around their centre. Where a
     cell has points of several surfaces (a roof and the ground before it), the surface that covers most of it gives the
     height: means between surfaces would smear every edge, and the topmost would make every roof too wide.
     """
-    factor = widening(grid.cell, spacing, parameters)
+    factor = widening(grid.cell, max(spacing, apart), parameters)
     if factor > 1:
         return _wide_cells(factor, grid, x, y=y, height=height, score=score, spacing=spacing, parameters=parameters)
     footprint, step = min(spacing / grid.cell, 1.0), surface_step(grid.cell, parameters)

@@ -24,7 +24,7 @@ LAKE = (slice(40, 120), slice(40, 130))
 
 def surface(height):
     known = np.isfinite(height)
-    parts = [np.where(known, value, np.nan).astype(np.float32) for value in (2, 0.1, 0.9, 0, 0.2)]
+    parts = [np.where(known, value, np.nan).astype(np.float32) for value in (2, 0.1, 0.9, 0, 0.2, 0.4)]
     return SurfaceCells(height.astype(np.float32), *parts)
 
 

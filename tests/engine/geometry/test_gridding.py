@@ -270,6 +270,20 @@ def test_fine_cells_keep_gaps_and_edges():
     assert roof[20, :].sum() * 0.25 == pytest.approx(20.0, abs=0.25)
 
 
+def test_points_that_are_farther_apart_in_one_direction_leave_no_holes():
+    """Pixels of 0.06 x 0.5 m, as of RPCs that are moved to 85 degrees of latitude: rows of cells were empty."""
+    x, y = (values.ravel() for values in np.meshgrid(np.arange(0.03, 20, 0.06), np.arange(0.25, 20, 0.5)))
+    grid, gsd = CellGrid(0.0, 20.0, 0.2, (100, 100)), np.sqrt(0.06 * 0.5)
+    facts = {"height": 2 * x + y, "score": np.ones_like(x), "spacing": gsd}
+    holes, _, _ = grid_points(grid, x, y, **facts)
+    whole, _, covered = grid_points(grid, x, y, **facts, apart=0.5)
+    assert np.isnan(holes).mean() > 0.15 and np.isfinite(whole).all()
+    cx, cy = np.meshgrid(*grid.centres())
+    inner = np.s_[2:-2, 2:-2]
+    assert np.abs(whole - (2 * cx + cy))[inner].max() < 0.3
+    assert covered[inner].mean() == pytest.approx((grid.cell / gsd) ** 2, rel=0.1)
+
+
 def test_cells_as_wide_as_points_are_apart_are_gridded_as_before():
     assert [widening(cell, 0.51) for cell in (1.0, 0.51, 0.5, 0.37, 0.36, 0.25, 0.128)] == [1, 1, 1, 1, 2, 2, 4]
     assert widening(0.1, np.inf) == 1
