@@ -30,6 +30,7 @@ _COMMA = re.compile(rf"[+-]?\d*,\d+{_UNIT}?", re.IGNORECASE)
 _POINT = re.compile(rf"[+-]?\d*\.\d+{_UNIT}?", re.IGNORECASE)
 _SEPARATOR = re.compile(r"sep=(.)\s*", re.IGNORECASE)  # the first line that spreadsheets write and read
 _DEGREES = re.compile(rf"(.+?){_UNIT}", re.IGNORECASE)
+_TEXTS = ("id", "name", "view", "role")  # fields that are no numbers, whatever they look like
 _ANGLES = ("lon", "lat", "long", "lng", "longitude", "latitude")
 # What spreadsheets take for a formula, whoever wrote the text (OWASP, CSV injection); a quote makes it a text.
 _FORMULA = re.compile(r"[=+\-@\t\r]")
@@ -115,32 +116,41 @@ class CsvTable:
 
         Raises InputTableError where some numbers have a decimal comma and others a point: either may part thousands.
         """
-        commas, points = 0, 0
+        decimals = _Decimals(self._path)
         with self._sentences(), open(self._path, encoding="utf-8-sig", newline="") as stream:
             reader = self._reader(stream)
             for _ in range(self._first):
                 next(reader, None)
             for line, row in enumerate((row for row in reader if row), start=self._first + 1):
-                values = [text[1:] if text and _QUOTED.match(text) else text for text in row]
-                if self._delimiter in ";\t":
-                    commas = commas or line * any(bool(text and _COMMA.fullmatch(text.strip())) for text in values)
-                    points = points or line * any(bool(text and _POINT.fullmatch(text.strip())) for text in values)
-                    if commas and points:
-                        raise InputTableError(
-                            f"'{self._path}' has numbers with a decimal comma (row {commas}) and with a point (row "
-                            f"{points}): write all decimals alike."
-                        )
-                    values = [
-                        text.replace(",", ".") if text and _COMMA.fullmatch(text.strip()) else text for text in values
-                    ]
-                values += [None] * (len(self.fields) - len(values))
-                yield line, dict(zip(self.fields, values))
+                texts = [text[1:] if text and _QUOTED.match(text) else text for text in row]
+                values = dict(zip(self.fields, texts + [None] * (len(self.fields) - len(texts))))
+                yield line, values if self._delimiter == "," else decimals.with_points(line, values)
 
     def _reader(self, lines: Iterator[str]) -> Iterator[List[Optional[str]]]:
         yield from csv.reader(lines, delimiter=self._delimiter, skipinitialspace=True)
 
     def _sentences(self) -> "_Sentences":
         return _Sentences(self._path)
+
+
+class _Decimals:
+    """The decimals of a table whose fields no comma parts: all with a comma, or all with a point."""
+
+    def __init__(self, path: str) -> None:
+        self._path, self._commas, self._points = path, 0, 0
+
+    def with_points(self, line: int, values: Dict[str, Optional[str]]) -> Dict[str, Optional[str]]:
+        """The values of a row whose numbers have points; raises InputTableError for the second kind in a table."""
+        numbers = {name: text.strip() for name, text in values.items() if text and name not in _TEXTS}
+        commas = {name: text.replace(",", ".") for name, text in numbers.items() if _COMMA.fullmatch(text)}
+        self._commas = self._commas or (line if commas else 0)
+        self._points = self._points or (line if any(map(_POINT.fullmatch, numbers.values())) else 0)
+        if self._commas and self._points:
+            raise InputTableError(
+                f"'{self._path}' has numbers with a decimal comma (row {self._commas}) and with a point (row "
+                f"{self._points}): write all decimals alike."
+            )
+        return {**values, **commas}
 
 
 class _Sentences:

@@ -28,7 +28,7 @@ _UNDECLARED = (-9999.0, -32768.0, -32767.0)
 """Numbers that writers mean as "none" although the file declares no nodata value, or another one."""
 _OURS = "REPM_ENGINE"  # a tag of all our rasters, whose voids are declared
 _STRIP_CELLS = 1 << 22  # that are read at once
-_SAMPLE_CELLS = 4000  # a side, that the share of voids is taken from
+_SAMPLES, _SAMPLE_CELLS = 8, 512  # windows along each side, and their sides: the share of voids is taken from them
 _FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
 _UNITS = {
     **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
@@ -113,16 +113,30 @@ def void_share(dataset: gdal.Dataset, window: Optional[Window] = None, band: int
 
 def stray_shares(dataset: gdal.Dataset, band: int = 1) -> Tuple[float, float]:
     """The shares of a band's cells (0..1) with numbers that cannot be heights, and with those that mean "none" although
-    no nodata value declares them; of large rasters by evenly spread cells."""
+    no nodata value declares them; of large rasters by evenly spread windows."""
     if dataset.GetMetadataItem(_OURS):
         return 0.0, 0.0
-    size = min(dataset.RasterXSize, _SAMPLE_CELLS), min(dataset.RasterYSize, _SAMPLE_CELLS)
-    values = raster.read(dataset, None, band, size, nearest=True)
-    stated = np.isfinite(values)
     plain = scaling(dataset, band) == (1.0, 0.0) or dataset.GetRasterBand(band).GetNoDataValue() is None
-    marked = stated & np.isin(values, _UNDECLARED) & plain
-    left = np.isfinite(_possible(_scaled(values, to_metres(dataset, band))))
-    return float((stated & ~marked & ~left).mean()), float(marked.mean())
+    impossible = marks = cells = 0
+    for window in _spread(Window(0, 0, dataset.RasterXSize, dataset.RasterYSize)):
+        values = raster.read(dataset, window, band)
+        stated = np.isfinite(values)
+        marked = stated & np.isin(values, _UNDECLARED) & plain
+        left = np.isfinite(_possible(_scaled(values, to_metres(dataset, band))))
+        impossible += int((stated & ~marked & ~left).sum())
+        marks, cells = marks + int(marked.sum()), cells + values.size
+    return impossible / cells, marks / cells
+
+
+def _spread(whole: Window) -> Iterator[Window]:
+    """All of a raster, or a few windows on it."""
+    if whole.width * whole.height <= _SAMPLES**2 * _SAMPLE_CELLS**2:
+        yield from _strips(whole)
+        return
+    side = min(_SAMPLE_CELLS, whole.width), min(_SAMPLE_CELLS, whole.height)
+    for row in np.linspace(0, whole.height - side[1], _SAMPLES).astype(int):
+        for col in np.linspace(0, whole.width - side[0], _SAMPLES).astype(int):
+            yield Window(int(col), int(row), *side)
 
 
 def _strips(window: Window) -> Iterator[Window]:

@@ -62,3 +62,8 @@ def test_control_points_come_back_as_they_were(tmp_path):
     path = write_gcps(str(tmp_path / "p.csv"), gcps)
     assert "'=HYPERLINK(1)" in open(path, encoding="utf-8").read()
     assert [gcp.id for gcp in read_gcps(path, None)] == [gcp.id for gcp in gcps]
+
+
+def test_names_that_look_like_numbers_stay(tmp_path):
+    one, two = points(tmp_path / "p.csv", f"{HEAD}\n1,5;5,5;43,5;7\n1.5;5,6;43,6;8\n")
+    assert (one.id, two.id, one.lon, two.lat) == ("1,5", "1.5", 5.5, 43.6)
