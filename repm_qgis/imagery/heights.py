@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Iterator, Optional, Tuple
+from typing import Iterator, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 import pyproj
@@ -29,6 +29,7 @@ _UNDECLARED = (-9999.0, -32768.0, -32767.0)
 _OURS = "REPM_ENGINE"  # a tag of all our rasters, whose voids are declared
 _STRIP_CELLS = 1 << 22  # that are read at once
 _SAMPLES, _SAMPLE_CELLS = 8, 512  # windows along each side, and their sides: the share of voids is taken from them
+_CONSTANT_SHARE, _CONSTANT_GAP_M = 5e-4, 20.0  # of the heights, that are the same; and how far all others are
 _FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
 _UNITS = {
     **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
@@ -111,32 +112,53 @@ def void_share(dataset: gdal.Dataset, window: Optional[Window] = None, band: int
     return voids / max(whole.width * whole.height, 1)
 
 
-def stray_shares(dataset: gdal.Dataset, band: int = 1) -> Tuple[float, float]:
-    """The shares of a band's cells (0..1) with numbers that cannot be heights, and with those that mean "none" although
-    no nodata value declares them; of large rasters by evenly spread windows."""
+class StrayNumbers(NamedTuple):
+    """Shares of a band's cells (0..1) with numbers that cannot be heights (``impossible``), with those that mean "none"
+    although no nodata value declares them (``marked``), and with one height, ``constant_m``, that lies far from all
+    others: a void that could be a height (``constant``)."""
+
+    impossible: float = 0.0
+    marked: float = 0.0
+    constant: float = 0.0
+    constant_m: float = 0.0
+
+
+def stray_numbers(dataset: gdal.Dataset, band: int = 1) -> StrayNumbers:
+    """What a band has beside heights; of large rasters by evenly spread windows."""
     if dataset.GetMetadataItem(_OURS):
-        return 0.0, 0.0
+        return StrayNumbers()
+    windows = _spread(Window(0, 0, dataset.RasterXSize, dataset.RasterYSize))
+    values = np.concatenate([raster.read(dataset, window, band).ravel() for window in windows])
+    stated = np.isfinite(values)
     plain = scaling(dataset, band) == (1.0, 0.0) or dataset.GetRasterBand(band).GetNoDataValue() is None
-    impossible = marks = cells = 0
-    for window in _spread(Window(0, 0, dataset.RasterXSize, dataset.RasterYSize)):
-        values = raster.read(dataset, window, band)
-        stated = np.isfinite(values)
-        marked = stated & np.isin(values, _UNDECLARED) & plain
-        left = np.isfinite(_possible(_scaled(values, to_metres(dataset, band))))
-        impossible += int((stated & ~marked & ~left).sum())
-        marks, cells = marks + int(marked.sum()), cells + values.size
-    return impossible / cells, marks / cells
+    marked = stated & np.isin(values, _UNDECLARED) & plain
+    heights = _possible(_scaled(values, to_metres(dataset, band)))
+    left = np.isfinite(heights)
+    share, constant_m = _constant(heights[left & ~marked])
+    impossible = float((stated & ~marked & ~left).mean())
+    return StrayNumbers(impossible, float(marked.mean()), share * float((left & ~marked).mean()), constant_m)
 
 
-def _spread(whole: Window) -> Iterator[Window]:
-    """All of a raster, or a few windows on it."""
+def _constant(heights: FloatImage) -> Tuple[float, float]:
+    """The share of (N,) heights that are exactly the lowest or the highest, where many are and the next one is far; and
+    that height, m."""
+    for end in (np.min, np.max):
+        if heights.size:
+            value = end(heights)
+            others = heights[heights != value]
+            share = 1.0 - others.size / heights.size
+            if others.size and share > _CONSTANT_SHARE and abs(end(others) - value) > _CONSTANT_GAP_M:
+                return share, float(value)
+    return 0.0, 0.0
+
+
+def _spread(whole: Window) -> List[Window]:
+    """All of a raster, or a few windows on it: single cells all over it would take as long as all of them."""
     if whole.width * whole.height <= _SAMPLES**2 * _SAMPLE_CELLS**2:
-        yield from _strips(whole)
-        return
+        return [whole]
     side = min(_SAMPLE_CELLS, whole.width), min(_SAMPLE_CELLS, whole.height)
-    for row in np.linspace(0, whole.height - side[1], _SAMPLES).astype(int):
-        for col in np.linspace(0, whole.width - side[0], _SAMPLES).astype(int):
-            yield Window(int(col), int(row), *side)
+    rows, cols = (np.linspace(0, end - own, _SAMPLES).astype(int) for end, own in zip((whole[3], whole[2]), side[::-1]))
+    return [Window(int(col), int(row), *side) for row in rows for col in cols]
 
 
 def _strips(window: Window) -> Iterator[Window]:

@@ -42,7 +42,8 @@ def read_cloud(
 
     Points of the class ground (2) only, where there are any, else all but noise. The scene's surface shows roofs and
     trees, which ground points do not: the robust weights of the solution exclude them. A mean lies at the mean place of
-    its points, which on a slope need not be the cell's middle. ``check`` is called between parts, and may raise.
+    its points, which on a slope need not be the cell's middle. ``check`` is called between parts, and may raise to
+    stop.
 
     Raises ImageError for a file that cannot be read, or has no CRS; OverlapError where it has no
     points within the bounds; MissingPackageError without laspy.

@@ -25,8 +25,8 @@ def copies(
 
 
 def are_same(first: FoundHeights, second: FoundHeights, parameters: RegistrationParameters = REGISTRATION) -> bool:
-    """Whether two references have the same heights in the same places, whatever their files' format, order and datum: a
-    file and its copy, or a part of it. No two surveys agree to a millimetre."""
+    """Whether two references have the same heights in the same places, whatever their files' format and order: a file
+    and its copy, or a part of it. No two surveys agree to a millimetre."""
     from scipy.spatial import cKDTree
 
     few, many = sorted((first, second), key=lambda each: len(each.height))
@@ -37,5 +37,5 @@ def are_same(first: FoundHeights, second: FoundHeights, parameters: Registration
         return False
     height = few.height[some][there]
     away = many.height[nearest[there]] - height
-    alike = np.abs(away - np.median(away)) < parameters.copy_m
+    alike = np.abs(away) < parameters.copy_m
     return bool(alike.mean() >= parameters.copy_share and np.ptp(height) > parameters.copy_m)

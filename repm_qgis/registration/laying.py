@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Callable, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -24,7 +24,7 @@ from .datums import DatumChoice, likely_datum
 from .parameters import REGISTRATION, RegistrationParameters
 from .rasters import block_means, slopes_of
 from .references import FoundHeights, in_datum
-from .solve import Prior, Shift, solve_shift
+from .solve import Prior, Shift, solve_shift, with_height
 from .surfaces import Reference, SupportMeans
 
 Check = Callable[[], None]
@@ -169,6 +169,30 @@ def factor_for(
     return max(1, int(wanted / parameters.cells_across / finest + 1e-6))
 
 
+def solved_on(
+    surface: OwnSurface,
+    reference: Reference,
+    prior: Prior,
+    tilted: bool = False,
+    check: Check = lambda: None,
+    parameters: RegistrationParameters = REGISTRATION,
+) -> Tuple[SupportMeans, Shift]:
+    """The surface as a reference sees it, and the shift that lays it on that.
+
+    A point stands for itself, and a town's surface has as many shifts that fit a few hundred points as it has edges
+    near them. So the position is found on means over some cells, and the height, which has no such choice, on the
+    surface itself. Raises EmptyResultError where too few heights lie on the surface.
+    """
+    means = SupportMeans(surface.grid, surface.height, reference, parameters.covered)
+    if max(reference.width_m) > 0.0:
+        return means, solve_shift(means, reference, prior, tilted, check, parameters)
+    side = parameters.cells_across * surface.grid.cell
+    wide = replace(reference, width_m=(side, side))
+    around = SupportMeans(surface.grid, surface.height, wide, parameters.covered)
+    shift = solve_shift(around, wide, prior, tilted, check, parameters)
+    return means, shift if any(shift.ground.tilt) else with_height(shift, means, reference, check, parameters)
+
+
 def lay(
     surface: OwnSurface,
     found: FoundHeights,
@@ -186,8 +210,7 @@ def lay(
     """
 
     def solved(reference: Reference) -> Shift:
-        means = SupportMeans(surface.grid, surface.height, reference, parameters.covered)
-        return solve_shift(means, reference, prior, tilted, check, parameters)
+        return solved_on(surface, reference, prior, tilted, check, parameters)[1]
 
     said, choice, other = "REFERENCE_DATUM says so", None, ""
     if datum is not None and found.datum is not None:
@@ -198,8 +221,10 @@ def lay(
         choice = likely_datum(found, surface.crs, solved, prior.up_m)
         datum, said = choice.datum, choice.sentence
     reference = in_datum(found, surface.crs, datum)
-    means = SupportMeans(surface.grid, surface.height, reference, parameters.covered)
-    shift = choice.shift if choice else solve_shift(means, reference, prior, tilted, check, parameters)
+    if choice:
+        means, shift = SupportMeans(surface.grid, surface.height, reference, parameters.covered), choice.shift
+    else:
+        means, shift = solved_on(surface, reference, prior, tilted, check, parameters)
     return Laid(reference, means, datum, said, shift, choice, found.about, other)
 
 

@@ -46,7 +46,8 @@ class RegistrationParameters(Parameters):
     lags: int = 64  # classes of distance of the differences' correlation ...
     reach: float = 0.5  # ... up to this share of the extent's diagonal
     pairs: int = 4_000_000  # of differences that their correlation is estimated from, about
-    slope_step: float = 1.0  # of the larger of a cell and a support: how far the slope of the equations is taken over
+    floor_up_cells: float = 0.01  # of the own surface: no number of heights makes the height more certain. Chosen
+    slope_steps: Tuple[float, ...] = (0.5, 1.0)  # of a cell or a support, the larger: for the slope of the equations
     lattice: int = 400  # cells along the longer side, in which the covariance sums up scores
     # Supports of lasers: a disc's diameter, or west to east and south to north of a rectangle. ICESat-2's ground tracks
     # run within 10 degrees of north up to 70 degrees of latitude (inclination 92 degrees), so its segments do too.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import partial
+from dataclasses import dataclass
 from typing import Callable, Optional, Tuple
 
 import numpy as np
@@ -51,18 +51,13 @@ def read_raster(
         jacobian = _jacobian(place, back, window)
         widths = np.hypot(*jacobian)
         factor = max(1, math.ceil(least_m / float(widths.min()) - 1e-6))
-        heights = _read_means(dataset, window, factor, check)
-        away = np.full((2, 1, 1), 0.5)
-        if factor > 1 and np.isfinite(heights).mean() < REGISTRATION.sparse:
-            any_cell = 0.5 / factor**2
-            every = _read_means(dataset, window, factor, check, any_cell)
-            if np.isfinite(heights).sum() < REGISTRATION.sparse * np.isfinite(every).sum():
-                # Stripes, or single cells: no block has half of its cells, so a mean lies where its cells do.
-                heights, away = every, _read_places(dataset, window, factor, check) / factor
+        blocks = _read_blocks(dataset, window, factor, check)
+    heights, right, below = blocks.means(0.5)
+    if np.isfinite(heights).sum() < REGISTRATION.sparse * (blocks.count > 0).sum():
+        heights, right, below = blocks.means(0.0)  # narrow stripes, or single cells: no block has half of its cells
     rows, columns = heights.shape
-    col = window.col + factor * (np.arange(columns) + away[0])
-    row = window.row + factor * (np.arange(rows)[:, None] + away[1])
-    col, row = np.broadcast_arrays(col, row)
+    col = window.col + factor * np.arange(columns) + right
+    row = window.row + factor * np.arange(rows)[:, None] + below
     x, y = _moved(back, place[0] + col * place[1] + row * place[2], place[3] + col * place[4] + row * place[5])
     slopes = slopes_of(heights, jacobian * factor)
     known = np.isfinite(heights) & np.isfinite(x) & np.isfinite(y)
@@ -117,41 +112,40 @@ def _moved(to: pyproj.Transformer, x: FloatArray, y: FloatArray) -> Tuple[FloatA
     return np.asarray(found[0]), np.asarray(found[1])
 
 
-def _read_means(
-    dataset: gdal.Dataset, window: Window, factor: int, check: Callable[[], None], covered: float = 0.5
-) -> FloatArray:
-    """Means of blocks of factor x factor cells, of which ``covered`` must be known, strip by strip; the raster's
-    overviews are not used: they may be shifted by half a cell."""
-    return _of_strips(dataset, window, factor, check, lambda cells: block_means(cells, factor, covered))
+@dataclass(frozen=True)
+class _Blocks:
+    """Of blocks of factor x factor cells: how many are known, and the sums of their heights and of their places, in
+    cells right and down from the block's corner; (rows, columns) each."""
+
+    factor: int
+    count: FloatArray
+    sums: FloatArray
+
+    def means(self, covered: float) -> FloatArray:
+        """(3, rows, columns) mean heights and mean places, which in a block with gaps are not its middle; NaN where no
+        more than ``covered`` of a block is known, or nothing."""
+        known = (self.count >= covered * self.factor**2) & (self.count > 0)
+        return np.asarray(np.where(known, self.sums / np.maximum(self.count, 1), np.nan))
 
 
-def _read_places(dataset: gdal.Dataset, window: Window, factor: int, check: Callable[[], None]) -> FloatArray:
-    """(2, rows, columns) mean places of the known cells of each block, in cells right and down from its corner."""
-
-    def places(axis: int, cells: Floats) -> FloatArray:
-        at = (np.arange(cells.shape[axis]) % factor + 0.5).reshape((-1, 1) if axis == 0 else (1, -1))
-        return block_means(np.where(np.isfinite(cells), at, np.nan), factor, 0.5 / factor**2)
-
-    return np.stack([_of_strips(dataset, window, factor, check, partial(places, axis)) for axis in (1, 0)])
-
-
-def _of_strips(
-    dataset: gdal.Dataset,
-    window: Window,
-    factor: int,
-    check: Callable[[], None],
-    means: Callable[[Floats], FloatArray],
-) -> FloatArray:
-    """(rows, columns) what a function makes of the whole blocks of each strip of cells."""
+def _read_blocks(dataset: gdal.Dataset, window: Window, factor: int, check: Callable[[], None]) -> _Blocks:
+    """Strip by strip; the raster's overviews are not used: they may be shifted by half a cell."""
     columns, rows = window.width // factor, window.height // factor
-    result = np.full((rows, columns), np.nan)
+    count, sums = np.zeros((rows, columns)), np.zeros((3, rows, columns))
     strip = max(1, _STRIP_CELLS // max(window.width * factor, 1))
+    inner = np.arange(factor) + 0.5
     for begin in range(0, rows, strip):
         check()
-        count = min(strip, rows - begin)
-        part = Window(window.col, window.row + begin * factor, columns * factor, count * factor)
-        result[begin : begin + count] = means(read_heights(dataset, part))
-    return result
+        some = slice(begin, min(begin + strip, rows))
+        number = some.stop - begin
+        part = Window(window.col, window.row + begin * factor, columns * factor, number * factor)
+        cells = read_heights(dataset, part).reshape(number, factor, columns, factor)
+        known = np.isfinite(cells)
+        by_column = known.sum(axis=1)
+        count[some] = by_column.sum(axis=2)
+        sums[0, some] = np.nansum(cells, axis=(1, 3), dtype=np.float64)
+        sums[1, some], sums[2, some] = by_column @ inner, np.moveaxis(known.sum(axis=3), 1, 2) @ inner
+    return _Blocks(factor, count, sums)
 
 
 def block_means(cells: Floats, factor: int, covered: float) -> FloatArray:

@@ -110,6 +110,7 @@ def solve_shift(
     if free.size and problem.is_fine:
         found = problem.refined(found, free, tilted, check)
     solution, covariance, correlation = found
+    covariance = covariance + _floor(surface, parameters)
     covariance[:2, :2] += prior.horizontal_m**2 * (np.eye(2) - free.T @ free)
     east, north, up, *tilt = map(float, solution.unknowns)
     seen = solution.seen
@@ -126,6 +127,43 @@ def solve_shift(
         other_relief=_other_relief(xyz[seen, 2] - solution.residual[seen], xyz[seen, 2], parameters),
         precision=solution.weight / solution.noise**2,
     )
+
+
+def with_height(
+    shift: Shift,
+    surface: SupportMeans,
+    reference: Reference,
+    check: Callable[[], None] = lambda: None,
+    parameters: RegistrationParameters = REGISTRATION,
+) -> Shift:
+    """A shift with the height that another surface gives in its place: one that was not averaged for the position."""
+    problem, none = _Problem(surface, reference, parameters), np.empty((0, 2))
+    solution, own, correlation = problem.determined(shift.moved, none, False, check)
+    seen, xyz, weight = solution.seen, reference.xyz, solution.weight / solution.noise**2
+    slopes = -(weight @ solution.design[:, :2]) / weight.sum()  # how the height follows the position
+    known = shift.determined.T @ shift.determined
+    covariance = shift.covariance.copy()
+    position = known @ covariance[:2, :2] @ known
+    covariance[2, :] = covariance[:, 2] = np.array([*(position @ slopes), 0.0, 0.0, 0.0])
+    covariance[2, 2] = (own + _floor(surface, parameters))[2, 2] + slopes @ position @ slopes
+    moved = float(solution.unknowns[0]), float(solution.unknowns[1]), float(solution.unknowns[2])
+    return replace(
+        shift,
+        ground=replace(shift.ground, moved=moved),
+        covariance=covariance,
+        xy=xyz[seen, :2],
+        before_m=xyz[seen, 2] - surface.at(xyz[seen, 0], xyz[seen, 1])[0],
+        after_m=solution.residual[seen],
+        weight=solution.weight[seen],
+        range_m=correlation.range_m,
+        other_relief=_other_relief(xyz[seen, 2] - solution.residual[seen], xyz[seen, 2], parameters),
+        precision=weight,
+    )
+
+
+def _floor(surface: SupportMeans, parameters: RegistrationParameters) -> FloatArray:
+    """(5, 5) the covariance that no number of heights goes below."""
+    return np.diag([0.0, 0.0, (parameters.floor_up_cells * surface.cell_m) ** 2, 0.0, 0.0])
 
 
 def _is_level(heights: FloatArray, solution: _Solution, parameters: RegistrationParameters) -> bool:
@@ -335,10 +373,15 @@ class _Problem:
         return solution, self._whole(solution, basis, correlation), correlation
 
     def _whole(self, solution: _Solution, basis: FloatArray, correlation: Correlation) -> FloatArray:
-        """The covariance by all heights that have a weight."""
-        normal = self.slope(solution, basis, self._parameters.slope_step * self._surface.resolution_m)
+        """The covariance by all heights that have a weight; of several lengths for the slope, with that which says less
+        of the position."""
         use, lattice = solution.weight > 0, self._parameters.lattice
-        return self.covariance(solution, basis, correlation, use, lattice, normal)
+        steps = [step * self._surface.resolution_m for step in self._parameters.slope_steps]
+        found = [
+            self.covariance(solution, basis, correlation, use, lattice, self.slope(solution, basis, step_m))
+            for step_m in steps
+        ]
+        return max(found, key=lambda each: float(np.trace(each[:2, :2]) + each[2, 2]))
 
     def back(self, found: "_Found", free: FloatArray, tilted: bool) -> "_Found":
         """A solution whose directions that are not ``free`` are set back to their start.

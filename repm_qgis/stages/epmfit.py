@@ -329,8 +329,8 @@ def _automatic_size(
             Finding(
                 "tiles-smallest",
                 f"Tiles of {size} px, the smallest, still have {left} after refinement (budget {budget:g} px), "
-                "because the "
-                f"altitude range is {range_m:.0f} m; heights are computed with the RPCs and are not affected.",
+                f"because the altitude range is {range_m:.0f} m; heights are computed with the RPCs and are not "
+                "affected.",
             )
         )
     return size

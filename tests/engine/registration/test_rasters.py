@@ -211,7 +211,7 @@ def test_means_are_those_of_the_blocks(monkeypatch, strip):
     values[23:25, 5:7], values[25, 5] = np.nan, np.nan  # and five
     dataset = gdal.GetDriverByName("MEM").Create("", 34, 40, 1, gdal.GDT_Float32)
     dataset.GetRasterBand(1).WriteArray(values)
-    found = rasters._read_means(dataset, Window(2, 5, 31, 33), 3, lambda: None)
+    found, right, below = rasters._read_blocks(dataset, Window(2, 5, 31, 33), 3, lambda: None).means(0.5)
     part = values[5 : 5 + 33, 2 : 2 + 30].reshape(11, 3, 10, 3)
     wanted = np.nanmean(part, axis=(1, 3))
     wanted[6, 1] = np.nan

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis.contracts.errors import MissingPackageError, OptionError, OverlapError, SceneError
+from repm_qgis.contracts.errors import EmptyResultError, MissingPackageError, OptionError, OverlapError, SceneError
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.files.vector import read_points
 from repm_qgis.geometry.frames import geodetic_from_projected
@@ -215,6 +215,71 @@ def test_references_that_contradict_each_other_are_a_warning(matched, reference,
         "register", {**options, "reference": paths[:1], "output_scene": str(tmp_path / "s.json")}, told()
     )
     assert made.up == pytest.approx(single.up + 1.0, abs=0.2)
+    assert made.up_deviation == pytest.approx(1.0, abs=0.1), "half of what they contradict each other by"
+
+
+def ids(said):
+    return [finding.id for finding in said.warnings]
+
+
+@pytest.mark.long
+def test_a_copy_of_a_reference_is_no_second_evidence(matched, reference, tmp_path, told):
+    path, copy, said = reference("first.tif"), str(tmp_path / "copy.tif"), told()
+    gdal.Translate(copy, path, creationOptions=["COMPRESS=DEFLATE", "TILED=YES"])
+    options = {"scene": matched, "workers": 1, **ELLIPSOID}
+    single = run_stage("register", {**options, "reference": [path], "output_scene": str(tmp_path / "s.json")}, told())
+    both = {**options, "reference": [path, copy], "output_scene": str(tmp_path / "b.json")}
+    made = run_stage("register", both, said)
+    assert made.up == single.up and made.up_deviation == single.up_deviation
+    assert ids(said) == ["reference-copied"] and "copy.tif" in said.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "found"),
+    (
+        ("constant", lambda z: np.full_like(z, np.median(z)), "relief-other"),
+        ("noise", lambda z: np.median(z) + np.random.default_rng(0).normal(0, 20, z.shape), "relief-other"),
+        ("turned", lambda z: z[::-1, ::-1], "relief-other"),
+        ("feet", lambda z: z / 0.3048, "relief-other"),
+        (
+            "corner",
+            lambda z: np.where(np.add.outer(*map(np.arange, z.shape)) < 15, z, np.nan),
+            "reference-covers-little",
+        ),
+        ("stripes", lambda z: np.where(np.arange(z.shape[1]) % 2 == 0, z, np.nan), None),
+        ("checker", lambda z: np.where(np.add.outer(*map(np.arange, z.shape)) % 2 == 0, z, np.nan), None),
+    ),
+)
+@pytest.mark.long
+def test_a_reference_that_is_none_is_named_and_gaps_are_not(
+    name, change, found, registered, matched, reference, tmp_path, told
+):
+    """A move that the heights do not show afterwards is refused."""
+    said = told()
+    options = {"scene": matched, "reference": [reference(f"{name}.tif", shape=change)], "workers": 1, **ELLIPSOID}
+    try:
+        made = run_stage("register", {**options, "output_scene": str(tmp_path / "r.json")}, said)
+    except EmptyResultError:
+        assert found is not None
+        return
+    assert found in ids(said) if found else not said.warnings
+    if found is None:
+        whole = registered[0]
+        assert [made.east, made.north, made.up] == pytest.approx([whole.east, whole.north, whole.up], abs=0.1)
+        assert made.up_deviation > 0.001
+
+
+@pytest.mark.long
+def test_a_datum_against_that_of_the_file_is_named(mountains, matched, reference, tmp_path, told):
+    try:
+        HeightDatum.of("EGM96").undulation(mountains.crs, np.array(mountains.bounds[:2]))
+    except MissingPackageError as error:
+        pytest.skip(f"PROJ's EGM96 grid is not installed: {error}")
+    path, said = reference("stated.tif"), told()
+    options = {"scene": matched, "reference": [path], "output_scene": str(tmp_path / "r.json"), "workers": 1}
+    run_stage("register", {**options, "reference_datum": "EGM96"}, said)
+    texts = [text for text in said.warnings if text.id == "reference-datum-contradicts"]
+    assert len(texts) == 1 and "WGS 84 ellipsoid" in texts[0] and "EGM96" in texts[0]
 
 
 @pytest.mark.long
