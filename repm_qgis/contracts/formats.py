@@ -87,7 +87,7 @@ def _problem(product: Product, path: str) -> str:
         reason = "must be a file of its own, as nothing is added to a database or to another file"
         return f"{reason}: give a name that ends with {_listed(_endings(product))}"
     ending, known = _ending(path), _endings(product)
-    if not ending:  # it says nothing: the format is the usual one
+    if not ending:  # the format is the usual one
         return ""
     if ending not in known and ending not in (_ALSO.get(each) for each in known):
         return f"must end with {_listed(known)}, which says in what format it is written"

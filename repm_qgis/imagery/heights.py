@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Iterator, NamedTuple, Optional, Tuple
+from typing import Iterator, List, NamedTuple, Optional, Tuple
 
 import numpy as np
 import pyproj
@@ -127,21 +127,16 @@ def stray_numbers(dataset: gdal.Dataset, band: int = 1) -> StrayNumbers:
     """What a band has beside heights; of large rasters by evenly spread windows."""
     if dataset.GetMetadataItem(_OURS):
         return StrayNumbers()
+    windows = _spread(Window(0, 0, dataset.RasterXSize, dataset.RasterYSize))
+    values = np.concatenate([raster.read(dataset, window, band).ravel() for window in windows])
+    stated = np.isfinite(values)
     plain = scaling(dataset, band) == (1.0, 0.0) or dataset.GetRasterBand(band).GetNoDataValue() is None
-    impossible = marks = cells = 0
-    parts = []
-    for window in _spread(Window(0, 0, dataset.RasterXSize, dataset.RasterYSize)):
-        values = raster.read(dataset, window, band)
-        stated = np.isfinite(values)
-        marked = stated & np.isin(values, _UNDECLARED) & plain
-        heights = _possible(_scaled(values, to_metres(dataset, band)))
-        left = np.isfinite(heights) & ~marked
-        parts.append(heights[left])
-        impossible += int((stated & ~marked & ~left).sum())
-        marks, cells = marks + int(marked.sum()), cells + values.size
-    known = np.concatenate(parts)
-    share, constant_m = _constant(known)
-    return StrayNumbers(impossible / cells, marks / cells, share * known.size / cells, constant_m)
+    marked = stated & np.isin(values, _UNDECLARED) & plain
+    heights = _possible(_scaled(values, to_metres(dataset, band)))
+    left = np.isfinite(heights)
+    share, constant_m = _constant(heights[left & ~marked])
+    impossible = float((stated & ~marked & ~left).mean())
+    return StrayNumbers(impossible, float(marked.mean()), share * float((left & ~marked).mean()), constant_m)
 
 
 def _constant(heights: FloatImage) -> Tuple[float, float]:
@@ -157,15 +152,13 @@ def _constant(heights: FloatImage) -> Tuple[float, float]:
     return 0.0, 0.0
 
 
-def _spread(whole: Window) -> Iterator[Window]:
-    """All of a raster, or a few windows on it."""
+def _spread(whole: Window) -> List[Window]:
+    """All of a raster, or a few windows on it: single cells all over it would take as long as all of them."""
     if whole.width * whole.height <= _SAMPLES**2 * _SAMPLE_CELLS**2:
-        yield from _strips(whole)
-        return
+        return [whole]
     side = min(_SAMPLE_CELLS, whole.width), min(_SAMPLE_CELLS, whole.height)
-    for row in np.linspace(0, whole.height - side[1], _SAMPLES).astype(int):
-        for col in np.linspace(0, whole.width - side[0], _SAMPLES).astype(int):
-            yield Window(int(col), int(row), *side)
+    rows, cols = (np.linspace(0, end - own, _SAMPLES).astype(int) for end, own in zip((whole[3], whole[2]), side[::-1]))
+    return [Window(int(col), int(row), *side) for row in rows for col in cols]
 
 
 def _strips(window: Window) -> Iterator[Window]:

@@ -15,8 +15,8 @@ _HEIGHTS = ("dem", "dsm", "dsms", "reference", "before", "after", "others", "dtm
 
 
 def name_voids(options: Options, progress: Progress) -> None:
-    """Name the rasters of heights with numbers that are none, and their share: a warning where they cannot be heights,
-    a note where they are the usual marks."""
+    """Name rasters with numbers that are no heights, and their share: a warning where they cannot be heights, a note
+    where they are the usual marks."""
     paths = dict.fromkeys(path for name, path in options.read_paths() if name in _HEIGHTS)
     for path in (each for each in paths if not (is_cloud(each) or is_catalogue(each))):
         try:
