@@ -135,8 +135,8 @@ def _drift(
     """
     if parameters.paths == max(_MODES):
         return np.zeros_like(disparity)
-    turned = (np.ascontiguousarray(image[::-1]) for image in (first, second))
-    half = (_left_to_right(*turned, low, high, parameters)[::-1] - disparity) * np.float32(0.5)
+    one, other = (np.ascontiguousarray(image[::-1]) for image in (first, second))
+    half = (_left_to_right(one, other, low, high, parameters)[::-1] - disparity) * np.float32(0.5)
     with np.errstate(invalid="ignore"):
         return np.where(np.abs(half) <= np.float32(parameters.left_right_px / 2), half, np.float32(0))
 

@@ -126,11 +126,9 @@ def inspect_views(
 ) -> Tuple[Place, ...]:
     """The places of the views (:func:`~repm_qgis.planning.overlap.places`), those with most images first."""
     groups = places(views, least_px)
-    ends = [number / len(groups) for number in range(len(groups) + 1)]
-    return tuple(
-        _place(group, least_px, Part(progress, *ends[number : number + 2]), parameters)
-        for number, group in enumerate(groups)
-    )
+    count = len(groups)
+    parts = [Part(progress, number / count, (number + 1) / count) for number in range(count)]
+    return tuple(_place(group, least_px, part, parameters) for group, part in zip(groups, parts))
 
 
 def _place(views: Sequence[View], least_px: float, progress: Progress, parameters: PlanningParameters) -> Place:

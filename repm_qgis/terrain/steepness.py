@@ -120,7 +120,8 @@ def _means(height: FloatImage, factor: int) -> FloatImage:
     known = np.isfinite(blocks)
     total = np.where(known, blocks, 0).sum(axis=(1, 3), dtype=np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return (total / known.sum(axis=(1, 3))).astype(np.float32)
+        means: FloatImage = (total / known.sum(axis=(1, 3))).astype(np.float32)
+    return means
 
 
 def _gradient(height: FloatImage, axis: int) -> FloatImage:
@@ -163,7 +164,8 @@ def cut_of(
     """What a ``terrain`` on the cells of a DSM lacks, which was searched with this steepest ``slope`` (m per m); None
     where it is next to nothing. Raises ImageError for a damaged file."""
     factor = round(slopes.transform[1] / surface.transform[1])
-    below = _reduced(terrain, slopes.height.shape[::-1], factor, check)
+    rows, columns = slopes.height.shape
+    below = _reduced(terrain, (columns, rows), factor, check)
     with np.errstate(invalid="ignore"):
         cut = slopes.steeper(slope) & (slopes.height - below > parameters.cut_m)
     percent = 100.0 * float(cut.sum()) / max(int(np.isfinite(slopes.height).sum()), 1)
