@@ -144,7 +144,8 @@ class View(Record):
         middle = (np.array(self.size) - 1) / 2
         ground = self.localise(middle + np.array([[0, 0], [1, 0], [0, 1]]), self.rpc.height_off)
         places = EnuFrame(ground[0, 0], ground[0, 1]).from_geodetic(ground)
-        long, short = np.linalg.svd((places[1:] - places[0])[:, :2], compute_uv=False)
+        sides = (places[1:] - places[0])[:, :2]
+        long, short = np.linalg.svd(sides, compute_uv=False) if np.isfinite(sides).all() else (1.0, 1.0)
         return float(long / short) if short > 0 else 1.0
 
     @property
