@@ -46,11 +46,12 @@ def match(
     low, high = disparities
     sgm, edges = parameters.sgm, parameters.edges
     a, b = to_bytes(first), to_bytes(second)
-    left = correct_edges(_left_to_right(a, b, low, high, sgm), first, second, (-1.0, high), height_sign, edges)
+    plain = _left_to_right(a, b, low, high, sgm)
+    left = correct_edges(plain, first, second, (-1.0, high), height_sign, edges)
     right = correct_edges(_right_to_left(a, b, low, high, sgm), second, first, (1.0, -high), height_sign, edges)
     first, second = _without_rim(first, sgm.rim_px), _without_rim(second, sgm.rim_px)
     left[~np.isfinite(first)] = np.nan
-    disparity = _agreed(left, right, high, sgm.left_right_px)
+    disparity = _agreed(left, right, high, sgm.left_right_px) + _drift(plain, a, b, low, high, sgm)
     disparity = speckle_filter(disparity, first, second, low, high, sgm)
     disparity = subpixel_disparity(disparity, first, second, high, parameters.subpixel)
     score = _score(first, second, disparity, high, sgm)
@@ -95,16 +96,13 @@ def _left_to_right(first: ByteImage, second: ByteImage, low: int, high: int, par
 def _right_to_left(first: ByteImage, second: ByteImage, low: int, high: int, parameters: SgmParameters) -> FloatImage:
     """(H, W + high - low) disparity of each pixel of the second image; NaN without one.
 
-    Its column c shows the first image's column c - e with e = high - disparity, from 0 to high - low. The images are
-    matched upside down: with fewer than eight paths OpenCV hands costs down from the top alone, so that surfaces move
-    down by 0.1 to 0.3 rows. So the error is opposite in both directions, and their means do not have it.
+    Its column c shows the first image's column c - e with e = high - disparity, from 0 to high - low.
     """
     span = high - low
     margin = -(-span // _STEPS) * _STEPS
     a = cv2.copyMakeBorder(first, 0, 0, margin, second.shape[1] - first.shape[1], cv2.BORDER_CONSTANT)
     b = cv2.copyMakeBorder(second, 0, 0, margin, 0, cv2.BORDER_CONSTANT)
-    one, other = (np.ascontiguousarray(image[::-1]) for image in (b, a))
-    found = _disparities(one, other, span, parameters)[::-1, margin:]
+    found = _disparities(b, a, span, parameters)[:, margin:]
     return np.where(found >= 0, np.float32(high) - found, np.float32(np.nan)).astype(np.float32)
 
 
@@ -125,6 +123,22 @@ def _agreed(left: FloatImage, right: FloatImage, high: int, most_px: float) -> F
     with np.errstate(invalid="ignore"):
         consistent = inside & (np.abs(back - left) <= most_px)
     return np.where(consistent, (left + back) * np.float32(0.5), np.float32(np.nan))
+
+
+def _drift(
+    disparity: FloatImage, first: ByteImage, second: ByteImage, low: int, high: int, parameters: SgmParameters
+) -> FloatImage:
+    """(H, W) px that are missing in the first image's disparities, 0 where that is not known.
+
+    With fewer than eight paths OpenCV hands costs down from the top alone, so that surfaces move down by 0.1 to 0.3
+    rows. Images that are matched upside down have the opposite error.
+    """
+    if parameters.paths == max(_MODES):
+        return np.zeros_like(disparity)
+    one, other = (np.ascontiguousarray(image[::-1]) for image in (first, second))
+    half = (_left_to_right(one, other, low, high, parameters)[::-1] - disparity) * np.float32(0.5)
+    with np.errstate(invalid="ignore"):
+        return np.where(np.abs(half) <= np.float32(parameters.left_right_px / 2), half, np.float32(0))
 
 
 def speckle_filter(
