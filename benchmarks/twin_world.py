@@ -16,6 +16,8 @@ Box = Tuple[float, float, float, float, float]
 SIDE_M = 120.0
 NODATA = -9999.0
 FEET = 0.3048
+FROM_ECEF = pyproj.Transformer.from_crs("EPSG:4978", "EPSG:4979", always_xy=True)
+"""From geocentric coordinates to longitude, latitude and ellipsoidal height."""
 
 
 @dataclass(frozen=True)
@@ -43,9 +45,10 @@ class World:
             for north in (-38.0, 0.0, 38.0):
                 if rng.random() < 0.45:
                     width, length = rng.uniform(9, 18, 2)
-                    houses.append((east - width / 2, north - length / 2, east + width / 2, north + length / 2))
+                    x, y = float(width) / 2, float(length) / 2
+                    houses.append((east - x, north - y, east + x, north + y))
         heights = rng.uniform(4, 12, len(houses))
-        boxes = tuple((*map(float, box), float(height)) for box, height in zip(houses, heights))
+        boxes = tuple((*box, float(height)) for box, height in zip(houses, heights))
         return cls(seed, lon, lat, float(rng.uniform(20, 900)), (slope[0], slope[1]), float(rng.uniform(0.5, 3)), boxes)
 
     def with_changes(self) -> World:
@@ -65,6 +68,22 @@ class World:
         for xmin, ymin, xmax, ymax, added in (*self.houses, *self.changes):
             heights = heights + added * ((x > xmin) & (x < xmax) & (y > ymin) & (y < ymax))
         return heights
+
+    def difference(self, one: Form, other: Form, between_x: Tuple[float, float] = (-55.0, 55.0)) -> Tuple[float, float]:
+        """The median and the NMAD of the differences of two rasters, m, by the formula."""
+        x, y = np.meshgrid(np.linspace(*between_x, 221), np.linspace(-55.0, 55.0, 221))
+        heights = [self.surface(x - each.moved[0], y - each.moved[1]) + each.added for each in (one, other)]
+        away = heights[0] - heights[1]
+        middle = float(np.median(away))
+        return middle, 1.4826 * float(np.median(np.abs(away - middle)))
+
+    def built(self, box: Box) -> float:
+        """The volume of a house from the lowest ground at its outline, m3."""
+        x0, y0, x1, y1, _ = box
+        x, y = np.meshgrid(np.linspace(x0, x1, 41), np.linspace(y0, y1, 41))
+        inner = slice(1, -1)
+        roof = self.surface(x[inner, inner], y[inner, inner])
+        return float((np.median(roof) - self.ground(x, y).min()) * (x1 - x0) * (y1 - y0))
 
     @property
     def crs(self) -> pyproj.CRS:

@@ -7,18 +7,25 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Dict, Iterator, List, Tuple
+from typing import Callable, Dict, Iterator, List, Tuple
 
 import numpy as np
 
+from benchmarks import twin_scenes, twin_trials
 from benchmarks.runner import is_quick, say
 from benchmarks.tables import Section, table
-from benchmarks.twin_trials import TRIALS, Draw, Heard, Trial
+from benchmarks.twin_trials import Draw, Heard, Trial
 from benchmarks.twin_world import World
 from repm_qgis.contracts.errors import RepmError
 
 _SEED = 20261127
 _EACH, _QUICK = 210, 4
+TRIALS: Dict[str, Callable[[Draw], Trial]] = {
+    **twin_trials.TRIALS,
+    "register": twin_scenes.register,
+    "pipeline": twin_scenes.images,
+}
+_OF_ALL = {"register": 210, "pipeline": 60}  # the others _EACH
 OUTCOMES = ("right", "refused", "named", "silently wrong", "crashed", "false alarm")
 
 
@@ -39,25 +46,27 @@ def outcome(trial: Trial) -> Tuple[str, str]:
 
 def tried(name: str, count: int, seed: int = _SEED) -> Iterator[Tuple[Trial, str, str]]:
     """So many trials of one algorithm: each with its outcome and the sentence about it."""
+    shared = tempfile.TemporaryDirectory()
     for number in range(count):
         own = [seed, sorted(TRIALS).index(name), number]
         rng = np.random.default_rng(own)
         with tempfile.TemporaryDirectory() as folder:
-            trial = TRIALS[name](Draw(World.drawn(int(rng.integers(1 << 30))), Path(folder), rng))
+            trial = TRIALS[name](Draw(World.drawn(int(rng.integers(1 << 30))), Path(folder), rng, Path(shared.name)))
             kind, why = outcome(trial)
         if kind in ("silently wrong", "crashed", "false alarm"):
             say(f"{name} {number}: {trial.what}: {kind}: {why[:300]}")
         yield trial, kind, why
+    shared.cleanup()
 
 
-def after_the_dsm() -> List[str]:
-    """All algorithms that take DSMs."""
+def trials() -> List[str]:
+    """All algorithms."""
     rows: List[List[object]] = []
     faults: Dict[Tuple[str, str], int] = Counter()
     start = time.monotonic()
     for name in TRIALS:
         counts: Dict[str, int] = Counter()
-        for trial, kind, _ in tried(name, _QUICK if is_quick() else _EACH):
+        for trial, kind, _ in tried(name, _QUICK if is_quick() else _OF_ALL.get(name, _EACH)):
             counts[kind] += 1
             counts["sound"] += trial.sound
             faults[trial.what.replace("terrain: ", ""), kind] += 1
@@ -79,4 +88,4 @@ def after_the_dsm() -> List[str]:
     ]
 
 
-SECTIONS = [Section("twins", "Never silently wrong", "make bench-twins", {"after": after_the_dsm})]
+SECTIONS = [Section("twins", "Never silently wrong", "make bench-twins", {"trials": trials})]

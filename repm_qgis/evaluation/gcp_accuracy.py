@@ -111,8 +111,8 @@ def measure_images(found: GcpAccuracy, views: Sequence[View], parameters: GcpPar
         found.warnings.append(
             Finding(
                 "gcp-contradicts",
-                f"The control point {name} contradicts the others and is left out: check its coordinates, the datum of "
-                "its height, and its pixels.",
+                f"The control point {name} contradicts the others and is left out: check its coordinates, the datum "
+                "of its height, and its pixels.",
             )
         )
     if good:
@@ -206,8 +206,7 @@ def _datum_warnings(dsm: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List
         Finding(
             "datum-unknown",
             f"'{grid.path}' does not state its vertical datum; its heights are assumed to be above the WGS 84 "
-            "ellipsoid. "
-            "If they are above a geoid, assign it a CRS that states it (for example EPSG:32631+3855).",
+            "ellipsoid. If they are above a geoid, assign it a CRS that states it (for example EPSG:32631+3855).",
         )
     ]
 

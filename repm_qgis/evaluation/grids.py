@@ -19,7 +19,7 @@ from ..contracts.findings import Finding
 from ..geometry.frames import flat_crs, install_grid, on_earth, vertical_operations, vertical_part
 from ..geometry.ground_metric import GroundMetric
 from ..geometry.interpolation import upsample_grid
-from ..geometry.vertical import ELLIPSOID, TAG
+from ..geometry.vertical import ELLIPSOID, TAG, geodetic_with_heights
 from ..geometry.vertical import metres_per_unit as unit_of_heights
 from ..imagery import raster
 from ..imagery.heights import read_heights, read_values
@@ -224,6 +224,7 @@ class HeightWarper:
         self._source_flat, self._target_flat = _flat(self._source.crs), _flat(target.crs)
         self._to_source = _between(self._target_flat, self._source_flat)
         self.warnings: List[Finding] = []
+        self._units: Tuple[float, ...] = (1.0, 1.0)
         self.vertical = self._vertical_transformer()
 
     @property
@@ -353,7 +354,9 @@ class HeightWarper:
     def _best_operation(self, source: CRS, target: CRS, from_name: str, to_name: str) -> Transformer:
         to_geodetic = Transformer.from_crs(self._target_flat, 4326, always_xy=True)
         place = to_geodetic.transform_bounds(*self._target.bounds, densify_pts=5)
-        group, missing = vertical_operations(source, target, place)
+        systems = geodetic_with_heights(source), geodetic_with_heights(target)
+        self._units = tuple(unit_of_heights(each) or 1.0 for each in systems)
+        group, missing = vertical_operations(*systems, place)
         if not group.transformers:
             grids = f"PROJ's grid {' or '.join(missing)} is not installed" if missing else "PROJ has no transformation"
             remedy = f"{install_grid(missing)}, or transform" if missing else "transform"
@@ -368,9 +371,11 @@ class HeightWarper:
         return group.transformers[0]
 
     def _in_target(self, vertical: Transformer, x: FloatArray, y: FloatArray, height: FloatArray) -> FloatArray:
-        """Heights in the target's vertical datum, m; PROJ has those of each CRS in its own unit."""
-        own, theirs = (unit_of_heights(grid.crs) or 1.0 for grid in (self._source, self._target))
-        return np.asarray(vertical.transform(x, y, height / own)[2]) * theirs
+        """Heights in the target's vertical datum, m, at places in the DSM's CRS; PROJ has those of each in its own
+        unit."""
+        own, theirs = self._units
+        lon, lat = _between(self._source_flat, CRS.from_epsg(4326)).transform(x, y)
+        return np.asarray(vertical.transform(lon, lat, height / own)[2]) * theirs
 
     def _vertical_at(self, vertical: Transformer, cells: Grid, height: float) -> Tuple[float, FloatArray]:
         """Scale and offset (rows, columns) of heights, from a coarse lattice: datums differ smoothly."""

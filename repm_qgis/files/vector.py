@@ -75,9 +75,10 @@ def strangers_in(path: str) -> List[str]:
             with suppress(RuntimeError):  # it has none of the kind, or is damaged
                 source = gdal.OpenEx(path, kind | gdal.OF_READONLY, allowed_drivers=[GEOPACKAGE])
                 if source is not None and kind == gdal.OF_VECTOR:
-                    layers = [source.GetLayer(index) for index in range(source.GetLayerCount())]
-                    names += [each.GetName() for each in layers if each.GetMetadataItem("DESCRIPTION") != _MARK]
-                    layers = None
+                    for index in range(source.GetLayerCount()):
+                        layer = source.GetLayer(index)
+                        names += [layer.GetName()] if layer.GetMetadataItem("DESCRIPTION") != _MARK else []
+                    layer = None
                 elif source is not None:
                     parts = [name.rsplit(":", 1)[-1] for name, _ in source.GetSubDatasets()]
                     names += parts or [source.GetMetadataItem("IDENTIFIER") or "a raster"]

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import List, Tuple
 
 import numpy as np
 from osgeo import gdal
 
-from ..contracts.arrays import FloatArray, Window
-from ..contracts.errors import ImageError, OverlapError
+from ..contracts.arrays import FloatImage, Window
+from ..contracts.errors import EmptyResultError, ImageError, OverlapError
 from ..contracts.findings import Finding
 from ..evaluation.comparison import sample_windows
-from ..evaluation.grids import Grid, HeightWarper, bounds_on, overlap
+from ..evaluation.coregistration import align
+from ..evaluation.grids import Grid, HeightWarper, bounds_on, cell_metres, overlap
 from ..evaluation.parameters import EVALUATION
 from ..imagery.confidence import confidence_bands
 from ..imagery.heights import read_heights, read_values
@@ -34,7 +36,12 @@ def confidence_findings(
     with opened(dsm) as heights, opened(confidence) as errors:
         band = confidence_bands(errors, option).error
         column, row = _place_on(Grid.of(heights), Grid.of(errors), option, whole)
-        known, stated, alone = _counts(heights, errors, band, (column, row))
+        known, stated, alone, nothing = _counts(heights, errors, band, (column, row))
+    if nothing > parameters.most_unstated * max(stated, 1):
+        raise ImageError(
+            f"{_percent(nothing / max(stated, 1))} of the expected errors of '{confidence}' are 0 or less, which no "
+            f"height has: give the raster that was written with the DSM, or leave {option} empty."
+        )
     findings = []
     without = 1.0 - stated / max(known, 1)
     if without > parameters.most_unstated:
@@ -64,22 +71,25 @@ def _place_on(dsm: Grid, confidence: Grid, option: str, whole: bool) -> Tuple[in
     return round(column), round(row)
 
 
-def _counts(heights: gdal.Dataset, errors: gdal.Dataset, band: int, place: Tuple[int, int]) -> Tuple[int, int, int]:
-    """Of evenly spaced rows: cells with a height, those of them with an expected error, and errors without a height."""
+def _counts(
+    heights: gdal.Dataset, errors: gdal.Dataset, band: int, place: Tuple[int, int]
+) -> Tuple[int, int, int, int]:
+    """Of evenly spaced rows: cells with a height, those of them with an expected error, errors without a height, and
+    errors that are not above 0."""
     columns, rows = heights.RasterXSize, heights.RasterYSize
-    known = stated = alone = 0
+    counts = np.zeros(4, np.int64)
     for row in np.unique(np.linspace(0, rows - 1, min(rows, _ROWS)).astype(int)):
         has = np.isfinite(read_heights(heights, Window(0, int(row), columns, 1))[0])
-        says = np.zeros(columns, bool)
+        error = np.full(columns, np.nan)
         own = Window(place[0], 0, errors.RasterXSize, 1).common(Window(0, 0, columns, 1))
         there = int(row) - place[1]
         if own is not None and own.width > 0 and 0 <= there < errors.RasterYSize:
             window = Window(own.col - place[0], there, own.width, 1)
-            says[own.col : own.col + own.width] = np.isfinite(read_values(errors, window, band)[0])
-        known, stated, alone = (
-            total + int(cells.sum()) for total, cells in ((known, has), (stated, has & says), (alone, says & ~has))
-        )
-    return known, stated, alone
+            error[own.col : own.col + own.width] = read_values(errors, window, band)[0]
+        says = np.isfinite(error)
+        counts += [int(cells.sum()) for cells in (has, has & says, says & ~has, has & (error <= 0.0))]
+    known, stated, alone, nothing = map(int, counts)
+    return known, stated, alone, nothing
 
 
 def terrain_findings(dsm: str, terrain: str, parameters: GateParameters = GATE) -> List[Finding]:
@@ -92,9 +102,12 @@ def terrain_findings(dsm: str, terrain: str, parameters: GateParameters = GATE) 
         grid = Grid.of(heights)
         warper = HeightWarper(ground, grid)
         overlap(Grid.of(ground), grid)
-        above, known = _above(heights, grid, warper)
+        patches = _patches(heights, grid, warper)
+        cell = cell_metres(grid)
     findings = list(warper.warnings)
-    covered = above.size / max(known, 1)
+    above = np.concatenate([np.empty(0), *((surface - below).ravel() for surface, below in patches)])
+    above = above[np.isfinite(above)]
+    covered = above.size / max(sum(int(np.isfinite(surface).sum()) for surface, _ in patches), 1)
     if covered < 1.0 - parameters.most_uncovered:
         text = f"The terrain '{terrain}' covers {_percent(covered)} of the heights of '{dsm}'"
         findings.append(
@@ -109,18 +122,37 @@ def terrain_findings(dsm: str, terrain: str, parameters: GateParameters = GATE) 
             )
             remedy = "check that both have the same vertical datum and unit, and show the same place"
             findings.append(Finding("terrain-off", f"{text}: {remedy}.", "doubt"))
+        else:
+            findings += _displacement(terrain, dsm, patches, cell, parameters)
     return findings
 
 
-def _above(heights: gdal.Dataset, grid: Grid, warper: HeightWarper) -> Tuple[FloatArray, int]:
-    """(N,) how far a DSM lies above a terrain in samples of it, m; and how many heights the samples have."""
-    parts, known = [np.empty(0)], 0
-    for window in sample_windows(grid, grid.bounds, EVALUATION.comparison):
-        surface = read_heights(heights, window)
-        above = surface - warper.read(grid.window(window))
-        known += int(np.isfinite(surface).sum())
-        parts.append(above[np.isfinite(above)].astype(np.float64))
-    return np.concatenate(parts), known
+def _displacement(
+    terrain: str,
+    dsm: str,
+    patches: List[Tuple[FloatImage, FloatImage]],
+    cell: Tuple[float, float],
+    parameters: GateParameters,
+) -> List[Finding]:
+    """Whether a terrain fits to the ground of a DSM better elsewhere."""
+    ground = []
+    for surface, below in patches:
+        with np.errstate(invalid="ignore"):
+            ground.append((np.where(np.abs(surface - below) < parameters.near_m, surface, np.float32(np.nan)), below))
+    with suppress(EmptyResultError):
+        found = align("3d", ground, cell)
+        by = float(np.hypot(found.dx, found.dy))
+        most = max(parameters.most_displaced_m, parameters.most_displaced_cells * max(map(abs, cell)))
+        if by > most and found.nmad_after < parameters.displaced_gain * found.nmad_before:
+            text = f"The terrain '{terrain}' fits to the ground of '{dsm}' better {by:.1f} m beside its place"
+            return [Finding("terrain-displaced", f"{text}: check the CRS and the place of both.", "doubt")]
+    return []
+
+
+def _patches(heights: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List[Tuple[FloatImage, FloatImage]]:
+    """Samples of a DSM with the terrain below them, (rows, columns) each, m."""
+    windows = sample_windows(grid, grid.bounds, EVALUATION.comparison)
+    return [(read_heights(heights, window), warper.read(grid.window(window))) for window in windows]
 
 
 def picture_findings(dsm: str, picture: str, share: float, parameters: GateParameters = GATE) -> List[Finding]:

@@ -10,8 +10,8 @@ from osgeo import gdal
 
 from ..contracts.arrays import Window
 from ..contracts.errors import OptionError
-from ..evaluation.grids import Grid
-from ..geometry.frames import vertical_part
+from ..evaluation.grids import Grid, metric_of
+from ..geometry.frames import on_earth, vertical_part
 from ..imagery.heights import read_heights
 from ..imagery.raster import opened
 
@@ -21,11 +21,14 @@ _STEP_M = 1e-3
 
 def content_of(dataset: gdal.Dataset) -> str:
     """A value that two rasters share where they have the same heights (to 1 mm) at the same place, under whatever name,
-    format and compression. Raises ImageError for a raster that cannot be read."""
+    format and compression. Raises ImageError for a raster that cannot be read, or lies nowhere."""
     columns, rows = dataset.RasterXSize, dataset.RasterYSize
-    grid = Grid.of(dataset)  # the same numbers are other heights above another datum
-    datum = vertical_part(grid.crs) if grid.wkt else None
-    place = [columns, rows, *(f"{number:.9g}" for number in grid.transform), datum]
+    grid = Grid.of(dataset)  # the same numbers are other heights above another datum, and elsewhere
+    datum, middle = None, (0.0, 0.0)
+    if grid.wkt:
+        datum, middle = vertical_part(on_earth(grid.crs, grid.path)), metric_of(grid).place
+    numbers = [f"{number:.9g}" for number in grid.transform] + [f"{degrees:.6f}" for degrees in middle]
+    place = [columns, rows, bool(grid.wkt), datum, *numbers]
     digest = hashlib.blake2b("|".join(map(str, place)).encode(), digest_size=16)
     for row in np.unique(np.linspace(0, rows - 1, min(rows, _MOST_ROWS)).astype(int)):
         heights = read_heights(dataset, Window(0, int(row), columns, 1)).astype(np.float64)

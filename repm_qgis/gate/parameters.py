@@ -17,6 +17,10 @@ class GateParameters(Parameters):
     ground_percent: float = 5.0  # of a DSM's heights, at least, lie on the ground
     mode_share: float = 0.25  # of the differences, in the shortest interval that has so many: the ground
     most_off_m: float = 3.0  # between a terrain and the ground of its DSM: geoids are tens of metres from the ellipsoid
+    near_m: float = 5.0  # of a DSM's heights to a terrain, where ground is compared with ground
+    most_displaced_m: float = 2.0  # between a terrain and a DSM; and so many cells
+    most_displaced_cells: float = 2.0
+    displaced_gain: float = 0.8  # of the spread, at most, after the shift; otherwise it explains nothing
     least_year: int = 1957  # of the first satellite
 
 

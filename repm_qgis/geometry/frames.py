@@ -158,7 +158,13 @@ def vertical_part(crs: pyproj.CRS) -> Optional[str]:
     if crs.is_compound:
         return crs.sub_crs_list[1].name
     ellipsoid = crs.ellipsoid.name if crs.ellipsoid is not None else "unknown"
-    return f"ellipsoidal height ({ellipsoid})" if len(crs.axis_info) == 3 else None
+    name = "WGS 84" if is_world_ellipsoid(crs) else ellipsoid
+    return f"ellipsoidal height ({name})" if len(crs.axis_info) == 3 else None
+
+
+def is_world_ellipsoid(crs: pyproj.CRS) -> bool:
+    """Whether a CRS has the ellipsoid of WGS 84, or that of GRS 1980, which is the same to 0.1 mm."""
+    return crs.ellipsoid is not None and crs.ellipsoid.name in ("WGS 84", "GRS 1980")
 
 
 def vertical_operations(

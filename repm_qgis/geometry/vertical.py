@@ -12,7 +12,7 @@ from pyproj.crs.crs import CompoundCRS
 
 from ..contracts.arrays import FloatArray
 from ..contracts.errors import MissingPackageError, OptionError
-from .frames import geodetic_from_projected, install_grid, vertical_operations
+from .frames import geodetic_from_projected, install_grid, is_world_ellipsoid, vertical_operations
 
 DATUMS = {"ellipsoid": "", "ellipsoidal": "", "egm96": "EPSG:5773", "egm2008": "EPSG:3855"}
 """Common names of vertical datums and their PROJ codes; "" is the WGS 84 ellipsoid."""
@@ -53,6 +53,17 @@ def vertical_crs(text: Optional[str], option: str) -> Optional[pyproj.CRS]:
 def with_wgs84(vertical: pyproj.CRS) -> pyproj.CRS:
     """Longitude and latitude in WGS 84 with heights of a vertical CRS."""
     return CompoundCRS("points", ["EPSG:4326", vertical])
+
+
+def geodetic_with_heights(crs: pyproj.CRS) -> pyproj.CRS:
+    """Longitude and latitude with the heights of a CRS: between such ones PROJ converts heights, whatever the map is.
+
+    From a projected CRS of three axes, as Web Mercator's, PROJ finds no geoid, and changes nothing without a word.
+    """
+    vertical = next((part for part in crs.sub_crs_list if part.is_vertical), None)
+    if vertical is not None:
+        return with_wgs84(vertical)
+    return pyproj.CRS(_ELLIPSOIDAL) if is_world_ellipsoid(crs) else crs.geodetic_crs.to_3d()  # type: ignore[union-attr]
 
 
 @dataclass(frozen=True)

@@ -109,7 +109,10 @@ def _fill_of(
             sample = read(dataset, part, band, size, nearest=True)
             known = sample[np.isfinite(sample)]
             above, below = (known > value).mean(), (known < value).mean()
-            if above + below and min(above, below) <= parameters.beyond_share:  # neither: an image without content
+            left, right = _runs(sample == value, 1)
+            inside = ((sample == value) & ~left & ~right).mean()  # saturated ground lies there, too
+            sure = inside <= parameters.beyond_share or count >= parameters.sure_share * 2 * len(ends)
+            if sure and above + below and min(above, below) <= parameters.beyond_share:  # neither: without content
                 return value
     return math.nan
 

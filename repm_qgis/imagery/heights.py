@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Iterator, Optional, Tuple
+from typing import Iterator, NamedTuple, Optional, Tuple
 
 import numpy as np
 import pyproj
@@ -25,10 +25,11 @@ LOWEST_M, HIGHEST_M = -12000.0, 9000.0
 """Numbers below or above are no heights of the Earth's surface: the Challenger Deep lies at -10935 m, Everest's summit
 at 8849 m, and ellipsoid and geoid are at most 107 m apart. Voids are such numbers: 32767, -32768, 3.4e38, ..."""
 _UNDECLARED = (-9999.0, -32768.0, -32767.0)
-"""Numbers that writers mean as "none" although the file declares no nodata value."""
+"""Numbers that writers mean as "none" although the file declares no nodata value, or another one."""
 _OURS = "REPM_ENGINE"  # a tag of all our rasters, whose voids are declared
 _STRIP_CELLS = 1 << 22  # that are read at once
 _SAMPLE_CELLS = 4000  # a side, that the share of voids is taken from
+_CONSTANT_SHARE, _CONSTANT_GAP_M = 5e-4, 20.0  # of the heights, that are the same; and how far all others are
 _FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
 _UNITS = {
     **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
@@ -87,13 +88,15 @@ def read_heights(
 ) -> FloatImage:
     """Heights of a band in metres (rows, columns), NaN where there is none.
 
-    -9999 and the like count as none if no nodata value is declared, and numbers that cannot be heights never count.
+    -9999 and the like count as none, but where a declared nodata value comes with a scale; and numbers that cannot be
+    heights never count.
     ``size`` (columns, rows) reads means, as :func:`~repm_qgis.imagery.raster.read` does, without what does not count.
     Raises ImageError for a damaged file, an unknown unit or no scale.
     """
     if size is not None and void_share(dataset, window, band):
         return _means(dataset, window or Window(0, 0, dataset.RasterXSize, dataset.RasterYSize), band, size)
-    return _possible(_scaled(_known(dataset, window, band, size), to_metres(dataset, band)))
+    plain = scaling(dataset, band) == (1.0, 0.0)
+    return _possible(_scaled(_known(dataset, window, band, size, plain), to_metres(dataset, band)))
 
 
 def void_share(dataset: gdal.Dataset, window: Optional[Window] = None, band: int = 1) -> float:
@@ -109,17 +112,44 @@ def void_share(dataset: gdal.Dataset, window: Optional[Window] = None, band: int
     return voids / max(whole.width * whole.height, 1)
 
 
-def stray_shares(dataset: gdal.Dataset, band: int = 1) -> Tuple[float, float]:
-    """The shares of a band's cells (0..1) with numbers that cannot be heights, and with those that mean "none" although
-    no nodata value declares them; of large rasters by evenly spread cells."""
+class StrayNumbers(NamedTuple):
+    """Shares of a band's cells (0..1) with numbers that cannot be heights (``impossible``), with those that mean "none"
+    although no nodata value declares them (``marked``), and with one height, ``constant_m``, that lies far from all
+    others: a void that could be a height (``constant``)."""
+
+    impossible: float = 0.0
+    marked: float = 0.0
+    constant: float = 0.0
+    constant_m: float = 0.0
+
+
+def stray_numbers(dataset: gdal.Dataset, band: int = 1) -> StrayNumbers:
+    """What a band has beside heights; of large rasters by evenly spread cells."""
     if dataset.GetMetadataItem(_OURS):
-        return 0.0, 0.0
+        return StrayNumbers()
     size = min(dataset.RasterXSize, _SAMPLE_CELLS), min(dataset.RasterYSize, _SAMPLE_CELLS)
     values = raster.read(dataset, None, band, size, nearest=True)
     stated = np.isfinite(values)
-    marked = stated & np.isin(values, _UNDECLARED) & (dataset.GetRasterBand(band).GetNoDataValue() is None)
-    left = np.isfinite(_possible(_scaled(values, to_metres(dataset, band))))
-    return float((stated & ~marked & ~left).mean()), float(marked.mean())
+    plain = scaling(dataset, band) == (1.0, 0.0) or dataset.GetRasterBand(band).GetNoDataValue() is None
+    marked = stated & np.isin(values, _UNDECLARED) & plain
+    heights = _possible(_scaled(values, to_metres(dataset, band)))
+    left = np.isfinite(heights)
+    share, constant_m = _constant(heights[left & ~marked])
+    impossible = float((stated & ~marked & ~left).mean())
+    return StrayNumbers(impossible, float(marked.mean()), share * float((left & ~marked).mean()), constant_m)
+
+
+def _constant(heights: FloatImage) -> Tuple[float, float]:
+    """The share of (N,) heights that are exactly the lowest or the highest, where many are and the next one is far; and
+    that height, m."""
+    for end in (np.min, np.max):
+        if heights.size:
+            value = end(heights)
+            others = heights[heights != value]
+            share = 1.0 - others.size / heights.size
+            if others.size and share > _CONSTANT_SHARE and abs(end(others) - value) > _CONSTANT_GAP_M:
+                return share, float(value)
+    return 0.0, 0.0
 
 
 def _strips(window: Window) -> Iterator[Window]:
@@ -145,7 +175,8 @@ def _means(dataset: gdal.Dataset, window: Window, band: int, size: Size) -> Floa
     means: FloatImage = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan).astype(np.float32)
     if means.shape == size[::-1]:
         return means
-    return means[np.arange(size[1])[:, None] * rows // size[1], np.arange(size[0]) * columns // size[0]]
+    row, column = np.arange(size[1]) * rows // size[1], np.arange(size[0]) * columns // size[0]
+    return np.asarray(means[row[:, None], column])
 
 
 def read_values(
@@ -155,9 +186,12 @@ def read_values(
     return _scaled(_known(dataset, window, band, size), scaling(dataset, band))
 
 
-def _known(dataset: gdal.Dataset, window: Optional[Window], band: int, size: Optional[Size]) -> FloatImage:
+def _known(
+    dataset: gdal.Dataset, window: Optional[Window], band: int, size: Optional[Size], always: bool = False
+) -> FloatImage:
+    """A band's numbers, NaN for those that mean "none": undeclared ones ``always``, or if no nodata value is."""
     values = raster.read(dataset, window, band, size)
-    if dataset.GetRasterBand(band).GetNoDataValue() is None:
+    if always or dataset.GetRasterBand(band).GetNoDataValue() is None:
         for value in _UNDECLARED:
             values[values == value] = np.nan
     return values

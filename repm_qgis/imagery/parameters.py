@@ -52,7 +52,8 @@ class CollarParameters(Parameters):
     black: float = 3.0  # of whole numbers: zeros, and what lossy JPEG 2000 makes of them
     fill: float = math.nan  # another value that fills an image's ends; found in each image
     least_rows: int = 3  # of those looked at that must begin or end with such a value
-    beyond_share: float = 1e-4  # of the pixels that may be larger, or smaller, than such a value
+    beyond_share: float = 1e-4  # of the pixels that may be larger, or smaller, than such a value, or have it inside ...
+    sure_share: float = 0.25  # ... unless so many ends of rows have it: saturated ground has fewer (jax_068: 0.07)
     least_px: int = 16  # of a run of black pixels: shadows at an image's border are shorter
     least_share: float = 0.0005  # of the image: less does no harm
     looked_at: int = 256  # rows, of which one must have a black end before the whole image is read ...

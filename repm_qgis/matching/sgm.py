@@ -12,7 +12,7 @@ from typing import Callable, Tuple
 import cv2
 import numpy as np
 
-from ..contracts.arrays import ByteImage, FloatImage, Mask
+from ..contracts.arrays import ByteImage, FloatImage
 from ..imagery.sampling import known_or_zero
 from .depth_edges import correct_depth_edges
 from .disparity_map import DisparityMap, match_correlation
@@ -50,7 +50,7 @@ def match(
     right = correct_edges(_right_to_left(a, b, low, high, sgm), second, first, (1.0, -high), height_sign, edges)
     first, second = _without_rim(first, sgm.rim_px), _without_rim(second, sgm.rim_px)
     left[~np.isfinite(first)] = np.nan
-    disparity = np.where(_consistent(left, right, high, sgm.left_right_px), left, np.float32(np.nan))
+    disparity = _agreed(left, right, high, sgm.left_right_px)
     disparity = speckle_filter(disparity, first, second, low, high, sgm)
     disparity = subpixel_disparity(disparity, first, second, high, parameters.subpixel)
     score = _score(first, second, disparity, high, sgm)
@@ -105,16 +105,23 @@ def _right_to_left(first: ByteImage, second: ByteImage, low: int, high: int, par
     return np.where(found >= 0, np.float32(high) - found, np.float32(np.nan)).astype(np.float32)
 
 
-def _consistent(left: FloatImage, right: FloatImage, high: int, most_px: float) -> Mask:
-    """Left-right consistency check: pixels of the first image whose match in the second image points back to them."""
+def _agreed(left: FloatImage, right: FloatImage, high: int, most_px: float) -> FloatImage:
+    """Left-right consistency check: the means of both directions' disparities for pixels of the first image whose match
+    in the second image points back to them, NaN for others.
+
+    OpenCV rounds the vertices of its parabolas towards zero, and of several least costs it takes the one at the least
+    disparity. In both directions it counts disparities from the same side, the second image's are taken from the
+    highest: so the means have neither bias, which turned with the images.
+    """
     rows = np.arange(left.shape[0])[:, None]
     columns = np.arange(left.shape[1], dtype=np.float32) - left + np.float32(high)
     columns[np.isnan(columns)] = -1.0
     target = np.rint(columns).astype(np.intp)
     inside = (target >= 0) & (target < right.shape[1])
+    back = right[rows, np.where(inside, target, 0)]
     with np.errstate(invalid="ignore"):
-        consistent: Mask = inside & (np.abs(right[rows, np.where(inside, target, 0)] - left) <= most_px)
-    return consistent
+        consistent = inside & (np.abs(back - left) <= most_px)
+    return np.where(consistent, (left + back) * np.float32(0.5), np.float32(np.nan))
 
 
 def speckle_filter(

@@ -87,13 +87,21 @@ def _sharpened(
             f"'{pair.image.image}' beside '{pair.pan.name}': correlation {pair.correlation:.2f}, moved by "
             f"{column:+.2f}, {row:+.2f} of its px."
         )
+        if pair.misplaced_px:
+            progress.warn(
+                Finding(
+                    "xs-misplaced",
+                    f"'{pair.image.image}' lies {pair.misplaced_px:.1f} of its px beside '{pair.pan.image}': its RPC "
+                    "may be that of another image or crop; colours are taken from where it says.",
+                    "doubt",
+                )
+            )
         if pair.correlation < parameters.sharpening.least_correlation:
             progress.warn(
                 Finding(
                     "xs-unlike",
                     f"'{pair.image.image}' hardly resembles '{pair.pan.image}' (correlation {pair.correlation:.2f}): "
-                    "check "
-                    "that both are of one acquisition, or set PANSHARPEN=false.",
+                    "check that both are of one acquisition, or set PANSHARPEN=false.",
                 )
             )
     return replace(plan, sources=tuple(replace(s, multispectral=pair) for s, pair in zip(plan.sources, found)))

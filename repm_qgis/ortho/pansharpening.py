@@ -31,7 +31,8 @@ class Multispectral:
     """A multispectral image as a panchromatic view sees it, and how the two are combined.
 
     ``weights`` (of all ``bands``) make a panchromatic value; ``shift`` is the image's displacement, (column, row) in
-    its own px. ``correlation`` is that of the weighted sum with the panchromatic image.
+    its own px. ``correlation`` is that of the weighted sum with the panchromatic image. ``misplaced_px`` is a
+    displacement that is too large for one, and is not applied; 0 where there is none.
     """
 
     pan: View
@@ -40,6 +41,7 @@ class Multispectral:
     weights: Tuple[float, ...] = ()
     shift: Tuple[float, float] = (0.0, 0.0)
     correlation: float = 0.0
+    misplaced_px: float = 0.0
 
     def project(self, lon_lat_h: FloatArray) -> FloatArray:
         """(..., 3) longitude, latitude, height to (..., 2) column, row of the multispectral image."""
@@ -86,9 +88,11 @@ def fitted(pair: Multispectral, height: float, parameters: PansharpeningParamete
     found = [_shift(np.tensordot(weights, bands, axes=1), pan, known, parameters) for bands, pan, known in windows]
     trusted = [shift for shift, response in found if response > parameters.least_response]
     right, down = map(float, np.median(trusted, axis=0)) if trusted else (0.0, 0.0)
+    misplaced = 0.0
     if max(abs(right), abs(down)) > parameters.largest_shift_px:
-        right, down = 0.0, 0.0
-    return replace(pair, weights=tuple(map(float, weights)), shift=(right, down), correlation=correlation)
+        misplaced, right, down = float(np.hypot(right, down)), 0.0, 0.0
+    shares = tuple(map(float, weights))
+    return replace(pair, weights=shares, shift=(right, down), correlation=correlation, misplaced_px=misplaced)
 
 
 def _windows(

@@ -464,9 +464,8 @@ def altitude_range(
                 Finding(
                     "altitudes-of-rpcs",
                     "The altitude range could not be found from the images: that of the RPCs is used, "
-                    f"{search[0]:.0f} to "
-                    f"{search[1]:.0f} m. With a DEM, or ALTITUDE_MIN and ALTITUDE_MAX, the run is faster and more "
-                    "reliable.",
+                    f"{search[0]:.0f} to {search[1]:.0f} m. With a DEM, or ALTITUDE_MIN and ALTITUDE_MAX, the run is "
+                    "faster and more reliable.",
                 )
             )
             found, source = search, "RPC"

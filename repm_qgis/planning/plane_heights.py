@@ -60,8 +60,7 @@ def with_planes(
             Finding(
                 "plane-height-of-others",
                 f"Nothing states to which height {names} were projected: {height:.0f} m above the ellipsoid is used, "
-                "the "
-                f"mean of the other images' heights. {_REMEDY}",
+                f"the mean of the other images' heights. {_REMEDY}",
             )
         )
         return tuple(
@@ -84,8 +83,7 @@ def with_planes(
         Finding(
             "plane-height-assumed",
             f"Nothing states to which height {names} were projected: {height:.0f} m above the ellipsoid is assumed, "
-            "the "
-            "middle of the RPC's heights. An error of this height is an error of all heights of the DSM. "
+            "the middle of the RPC's heights. An error of this height is an error of all heights of the DSM. "
             f"{_REMEDY}",
         )
     )

@@ -146,16 +146,15 @@ def of_error_map(rmse: float, refined: bool, bounds: VerdictParameters = VERDICT
         return [
             Finding(
                 "equivalent-error",
-                f"The refined cameras of this view differ from the RPC by {rmse:.2f} px (RMSE; matching needs at most "
-                f"{most:g} px): choose a smaller TILE_SIZE, or another MODEL.",
+                f"The refined cameras of this view differ from the RPC by {rmse:.2f} px (RMSE; matching needs at "
+                f"most {most:g} px): choose a smaller TILE_SIZE, or another MODEL.",
             )
         ]
     return [
         Finding(
             "equivalent-error",
             f"The cameras of this view differ from the RPC by {rmse:.2f} px (RMSE; matching needs at most {most:g} "
-            "px): "
-            "refine the images.",
+            "px): refine the images.",
         )
     ]
 
@@ -163,12 +162,6 @@ def of_error_map(rmse: float, refined: bool, bounds: VerdictParameters = VERDICT
 def of_points(found: GcpAccuracy, bounds: VerdictParameters = VERDICT) -> List[Finding]:
     """The findings of a check against ground control points."""
     said = []
-    if found.wrong:
-        said.append(
-            Finding(
-                "gcps-contradict", f"Control points contradict the others ({', '.join(found.wrong)}): see 'Points'."
-            )
-        )
     count = int(found.rows().sum())
     if count < bounds.least_points:
         said.append(
@@ -198,8 +191,7 @@ def of_points(found: GcpAccuracy, bounds: VerdictParameters = VERDICT) -> List[F
             Finding(
                 "heights-off",
                 f"The DSM's heights differ from the points' by {np.median(up):+.2f} m as a whole, which is much more "
-                "than "
-                "their spread: check GCP_DATUM, the DSM's vertical datum and its absolute position.",
+                "than their spread: check GCP_DATUM, the DSM's vertical datum and its absolute position.",
             )
         )
     return said
@@ -236,8 +228,8 @@ def of_mosaic(differences: Sequence[Difference], bounds: VerdictParameters = VER
         said.append(
             Finding(
                 "overlaps-other-surface",
-                f"Overlaps whose DSMs do not show the same surface: {len(apart)} of {len(differences)}; those of DSMs "
-                f"{worst.first} and {worst.second} differ by {worst.nmad:.1f} m (NMAD; usual: at most "
+                f"Overlaps whose DSMs do not show the same surface: {len(apart)} of {len(differences)}; those of "
+                f"DSMs {worst.first} and {worst.second} differ by {worst.nmad:.1f} m (NMAD; usual: at most "
                 f"{bounds.most_spread_m:g} m): check their places, units and RPCs.",
                 "doubt",
             )
@@ -254,8 +246,8 @@ def of_comparison(metrics: HeightMetrics, cell_m: float = 0.0, bounds: VerdictPa
             Finding(
                 "other-surface",
                 f"The heights spread by {metrics.nmad:.1f} m about the reference's (NMAD; usual: at most "
-                f"{most_spread:g} m), so the two do not show the same surface: check the unit and scale of both, their "
-                "CRS and place, and the RPCs that the DSM was made with.",
+                f"{most_spread:g} m), so the two do not show the same surface: check the unit and scale of both, "
+                "their CRS and place, and the RPCs that the DSM was made with.",
                 "doubt",
             )
         )
@@ -263,35 +255,42 @@ def of_comparison(metrics: HeightMetrics, cell_m: float = 0.0, bounds: VerdictPa
         found.append(
             Finding(
                 "compared-few",
-                f"The DSM covers only {metrics.valid:.1f} % of the reference's cells, and the completeness counts all "
-                "of "
-                "them: cut the reference to the DSM's area if the DSM was not meant to cover the rest.",
+                f"The DSM covers only {metrics.valid:.1f} % of the reference's cells, and the completeness counts "
+                "all of them: cut the reference to the DSM's area if the DSM was not meant to cover the rest.",
             )
         )
     if abs(metrics.bias) > max(bounds.most_bias_nmads * metrics.nmad, bounds.most_bias_m):
         found.append(
             Finding(
                 "heights-off",
-                f"The heights differ by {metrics.bias:+.2f} m as a whole, which is much more than their spread: check "
-                "the "
-                "vertical datums and the absolute pointing, or set ALIGN to vertical or 3d.",
+                f"The heights differ by {metrics.bias:+.2f} m as a whole, which is much more than their spread: "
+                "check the vertical datums and the absolute pointing, or set ALIGN to vertical or 3d.",
             )
         )
     return found
 
 
-def of_change(changed_share: float, dz: float, level_m: float, bounds: VerdictParameters = VERDICT) -> List[Finding]:
-    """The findings of the change between two dates: the changed share of what was compared, the vertical shift that
-    was removed and the median level of detection, m."""
-    found = []
+def of_change(
+    changed_share: float, shift: Tuple[float, float, float], level_m: float, bounds: VerdictParameters = VERDICT
+) -> List[Finding]:
+    """The findings of the change between two dates: the changed share of what was compared, the shift (east, north, up)
+    that was removed and the median level of detection, m."""
+    found, (dx, dy, dz) = [], shift
+    if math.hypot(dx, dy) > bounds.most_offset_m:
+        found.append(
+            Finding(
+                "dates-displaced",
+                f"The DSMs lie {math.hypot(dx, dy):.1f} m beside each other, which the alignment removed: check the "
+                "CRS and the place of both.",
+            )
+        )
     if changed_share > bounds.most_changed_share:
         found.append(
             Finding(
                 "changed-much",
                 f"{100 * changed_share:.0f} % of the ground changed (usual: at most "
                 f"{100 * bounds.most_changed_share:.0f} %): the alignment assumes that most of the ground is stable, "
-                "so "
-                "align both DSMs before, and set ALIGN to none.",
+                "so align both DSMs before, and set ALIGN to none.",
             )
         )
     if abs(dz) > bounds.most_offset_m:
@@ -299,8 +298,7 @@ def of_change(changed_share: float, dz: float, level_m: float, bounds: VerdictPa
             Finding(
                 "dates-apart",
                 f"The DSMs differ by {dz:+.1f} m as a whole, which the alignment removed: check that both have the "
-                "same "
-                "vertical datum.",
+                "same vertical datum.",
             )
         )
     if level_m > bounds.most_level_m:
@@ -321,8 +319,8 @@ def of_buildings(measured: Sequence[float], min_height: float, min_area: float) 
         return [
             Finding(
                 "no-buildings",
-                f"No building of at least {min_height:g} m and {min_area:g} m2 was found: the layer is empty. Choose a "
-                "smaller MIN_HEIGHT or MIN_AREA, or check that DTM is the terrain below this DSM.",
+                f"No building of at least {min_height:g} m and {min_area:g} m2 was found: the layer is empty. Choose "
+                "a smaller MIN_HEIGHT or MIN_AREA, or check that DTM is the terrain below this DSM.",
             )
         ]
     unsure = sum(share < _FEW_MEASURED for share in measured)
@@ -353,8 +351,7 @@ def of_registration(figures: RegistrationFigures, bounds: VerdictParameters = VE
             Finding(
                 "shift-unexpected",
                 f"The shift of {size:.1f} m {words} is more than expected (nine of ten scenes need at most "
-                f"{promise:.1f} "
-                "m): see 'Registration'.",
+                f"{promise:.1f} m): see 'Registration'.",
             )
         )
     for each in figures.references:
@@ -364,8 +361,7 @@ def of_registration(figures: RegistrationFigures, bounds: VerdictParameters = VE
                 Finding(
                     "reference-unlike",
                     f"Only {100 * share:.0f} % of the heights of '{os.path.basename(each.file)}' agree with the "
-                    "surface "
-                    f"(usual: at least {100 * bounds.least_used_share:.0f} %): see 'Registration'.",
+                    f"surface (usual: at least {100 * bounds.least_used_share:.0f} %): see 'Registration'.",
                     "doubt",
                 )
             )
@@ -381,8 +377,8 @@ def of_rpcs(exported: Mapping[str, CorrectedRpc], bounds: VerdictParameters = VE
         return [
             Finding(
                 "rpcs-as-delivered",
-                "The scene has no pointing correction, so these are the RPCs as delivered: run 'Reconstruct heights' "
-                "first, and export the scene that it writes.",
+                "The scene has no pointing correction, so these are the RPCs as delivered: run 'Reconstruct "
+                "heights' first, and export the scene that it writes.",
             )
         ]
     shaken = {name: each for name, each in exported.items() if each.method == JITTERED}
@@ -390,18 +386,17 @@ def of_rpcs(exported: Mapping[str, CorrectedRpc], bounds: VerdictParameters = VE
         Finding(
             "rpc-without-jitter",
             f"An RPC cannot hold the jitter of {name}: the exported one differs from the pointed model by up to "
-            f"{each.max_px:.2f} px, {each.rms_px:.2f} px in the mean. Products of software that uses it contain these "
-            "waves; this scene's own products do not.",
+            f"{each.max_px:.2f} px, {each.rms_px:.2f} px in the mean. Products of software that uses it contain "
+            "these waves; this scene's own products do not.",
         )
         for name, each in shaken.items()
         if each.max_px > bounds.most_rpc_px
     ] + [
         Finding(
             "rpc-approximate",
-            f"The exported RPC of {name} differs from the pointed model by up to {each.max_px:.3f} px (usual: at most "
-            f"{bounds.most_rpc_px:g} px), as the correction is too large for the form of an RPC: check the tie "
-            "points, or "
-            "set POINTING to shift.",
+            f"The exported RPC of {name} differs from the pointed model by up to {each.max_px:.3f} px (usual: at "
+            f"most {bounds.most_rpc_px:g} px), as the correction is too large for the form of an RPC: check the tie "
+            "points, or set POINTING to shift.",
         )
         for name, each in exported.items()
         if each.max_px > bounds.most_rpc_px and name not in shaken

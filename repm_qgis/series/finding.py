@@ -205,8 +205,8 @@ class _Work:
                 texts.append(
                     Finding(
                         "date-apart",
-                        f"The heights of {date.label} lie {offset:+.2f} m from those of the other dates where nothing "
-                        "changed: register the DSMs, or set ALIGN to vertical or 3d, which removes it.",
+                        f"The heights of {date.label} lie {offset:+.2f} m from those of the other dates where "
+                        "nothing changed: register the DSMs, or set ALIGN to vertical or 3d, which removes it.",
                     )
                 )
         return texts

@@ -91,8 +91,7 @@ def reduced(
             Finding(
                 "mesh-thinned",
                 "The mesh has every second, third, ... row and column, because the package 'pyfqmr', which chooses "
-                "better "
-                f"vertices, is missing. To have them, {INSTALL_REMEDY}.",
+                f"better vertices, is missing. To have them, {INSTALL_REMEDY}.",
             )
         )
         return thinned(lattice, max_vertices)[0], cells

@@ -35,7 +35,10 @@ def _changed(options: ChangeOptions, progress: Progress) -> ChangeResult:
     run.warn_all(surface_findings(entries, "nothing would have changed"))
     run.warn_all(order_findings(options.before, options.after))
     found = find_changes(options, Part(run, 0.0, 0.9))
-    run.warn_all([*found.warnings, *verdict.of_change(found.changed_share, found.alignment.dz, found.level_m)])
+    moved = found.alignment
+    run.warn_all(
+        [*found.warnings, *verdict.of_change(found.changed_share, (moved.dx, moved.dy, moved.dz), found.level_m)]
+    )
     for product, path in paths_of("change", options):
         if product.style:  # both rasters have the same colours; changes that are not significant are pale
             write_style(product.style, path, (-found.shown_m, found.shown_m))

@@ -115,7 +115,8 @@ def _without_collars(views: Sequence[View], folder: Path, progress: Progress) ->
     found = []
     for view in views:
         progress.step(0.0, f"black ends of {view.name}")
-        target, fills = str(folder / f"{view.name}.tif"), []
+        target = str(folder / f"{view.name}.tif")
+        fills: List[float] = []
         share = write_collar_mask(
             view.image,
             view.band,
@@ -328,8 +329,8 @@ def _automatic_size(
             Finding(
                 "tiles-smallest",
                 f"Tiles of {size} px, the smallest, still have {left} after refinement (budget {budget:g} px), "
-                "because the "
-                f"altitude range is {range_m:.0f} m; heights are computed with the RPCs and are not affected.",
+                f"because the altitude range is {range_m:.0f} m; heights are computed with the RPCs and are not "
+                "affected.",
             )
         )
     return size

@@ -70,10 +70,8 @@ def run(options: ExportCamerasOptions, progress: Progress) -> ExportCamerasResul
                 Finding(
                     "camera-without-jitter",
                     f"A camera cannot hold the jitter of {view.name}, waves of up to {view.jitter.most_px:.2f} px "
-                    "over its "
-                    "lines: the camera only contains their mean, and products of software that uses the cameras "
-                    "contain "
-                    "the rest.",
+                    "over its lines: the camera only contains their mean, and products of software that uses the "
+                    "cameras contain the rest.",
                 )
             )
     progress.step(1.0, "cameras exported")

@@ -192,8 +192,7 @@ def _say_doubts(water: Water, progress: Progress) -> None:
             Finding(
                 "water-unsure",
                 "Dark, smooth ground, such as tarmac or deep shade, looks like water where no multispectral image "
-                "shows "
-                "it: check on the images what was found (WATER_MASK), or give XS.",
+                "shows it: check on the images what was found (WATER_MASK), or give XS.",
             )
         )
     unknown = [body for body in water.bodies if not body.known]
@@ -202,8 +201,7 @@ def _say_doubts(water: Water, progress: Progress) -> None:
             Finding(
                 "water-level-unknown",
                 f"The level of {counted(len(unknown), 'lake')} is not known, because too little of the shore has "
-                "heights: "
-                "WATER_MASK shows the water, but it is not flattened.",
+                "heights: WATER_MASK shows the water, but it is not flattened.",
             )
         )
 

@@ -309,8 +309,7 @@ def _name_large(layout: Layout, offsets: Offsets, parameters: OffsetParameters, 
             Finding(
                 "dsm-moved-far",
                 f"DSMs are moved by more than {parameters.most_m:g} m: {', '.join(moved)}; check their vertical "
-                "datums and "
-                "units, and name those that are right in FIXED.",
+                "datums and units, and name those that are right in FIXED.",
             )
         )
 
@@ -335,8 +334,7 @@ def _name_unexpected(
             Finding(
                 "dsms-contradict",
                 f"Heights of DSMs differ by more than their stated uncertainties explain: {names}{more}; check the "
-                "RPCs, "
-                "ground control and vertical datums of both, and name those that are right in FIXED.",
+                "RPCs, ground control and vertical datums of both, and name those that are right in FIXED.",
             )
         )
 

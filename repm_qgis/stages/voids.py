@@ -6,7 +6,7 @@ from ..contracts.errors import RepmError
 from ..contracts.file_kinds import is_catalogue, is_cloud
 from ..contracts.findings import Finding
 from ..contracts.options import Options
-from ..imagery.heights import HIGHEST_M, LOWEST_M, stray_shares
+from ..imagery.heights import HIGHEST_M, LOWEST_M, stray_numbers
 from ..imagery.raster import opened
 from ..runtime.progress import Progress
 
@@ -21,20 +21,30 @@ def name_voids(options: Options, progress: Progress) -> None:
     for path in (each for each in paths if not (is_cloud(each) or is_catalogue(each))):
         try:
             with opened(path) as dataset:
-                impossible, marked = stray_shares(dataset)
+                stray = stray_numbers(dataset)
         except RepmError:  # a table, or what the stage itself reports
             continue
-        if impossible:
+        if stray.constant:
+            progress.warn(
+                Finding(
+                    "void-likely",
+                    f"{_percent(stray.constant)} of the cells of '{path}' have exactly {stray.constant_m:g} m, far "
+                    "from all others: declare that number as its nodata value (gdal_edit -a_nodata), if it is none.",
+                    "doubt",
+                )
+            )
+        if stray.impossible:
             progress.warn(
                 Finding(
                     "heights-impossible",
-                    f"{_percent(impossible)} of the cells of '{path}' have numbers that cannot be heights (below "
-                    f"{LOWEST_M:g} or above {HIGHEST_M:g} m), and no nodata value declares them: they are left out.",
+                    f"{_percent(stray.impossible)} of the cells of '{path}' have numbers that cannot be heights "
+                    f"(below {LOWEST_M:g} or above {HIGHEST_M:g} m), and no nodata value declares them: they are "
+                    "left out.",
                 )
             )
-        elif marked:
+        elif stray.marked:
             progress.info(
-                f"{_percent(marked)} of the cells of '{path}' are -9999 or a like number, which no nodata value "
+                f"{_percent(stray.marked)} of the cells of '{path}' are -9999 or a like number, which no nodata value "
                 "declares: they are left out."
             )
 

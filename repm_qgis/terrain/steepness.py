@@ -145,9 +145,9 @@ class Cut:
         better = min(10 * math.ceil(10 * self.slope + 0.5), _STEEPEST)
         return Finding(
             "terrain-cut",
-            f"{self.percent:.1f} % of the DSM's heights lie on ground steeper than SLOPE ({100 * searched:g} %) "
-            f"and count as objects: the terrain is cut there, by up to {self.deepest:.0f} m. Choose SLOPE={better} or "
-            "a smaller LARGEST, or leave such ground out.",
+            f"{self.percent:.1f} % of the DSM's heights lie on ground steeper than SLOPE ({100 * searched:g} %) and "
+            f"count as objects: the terrain is cut there, by up to {self.deepest:.0f} m. Choose SLOPE={better} or a "
+            "smaller LARGEST, or leave such ground out.",
             "doubt",
         )
 

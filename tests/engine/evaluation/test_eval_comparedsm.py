@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 from osgeo import gdal
 from pyproj import Transformer
@@ -524,3 +525,18 @@ def test_a_dsm_that_shows_another_surface_is_not_called_good(make_raster, tmp_pa
     assert "Good." in tops["sound"]
     assert "Good." not in tops["bad"] and "do not show the same surface" in tops["bad"]
     assert "Good." not in tops["both"] and "&#39;bad&#39;: The heights spread" in tops["both"]
+
+
+@pytest.mark.parametrize("crs", ("EPSG:32631", "EPSG:3857", "EPSG:3035", "EPSG:2154"))
+def test_heights_change_their_datum_in_any_projection(make_raster, crs):
+    """From Web Mercator with ellipsoidal heights PROJ applied no geoid, and said nothing: 50 m."""
+    x, y = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(5.0, 45.0)
+    dsm = make_raster("dsm.tif", np.full((40, 40), 300.0), (x, y), 4.0, crs)
+    dataset = gdal.Open(dsm, gdal.GA_Update)
+    dataset.SetMetadataItem("VERTICAL_DATUM", "WGS 84 ellipsoid")
+    dataset = None  # noqa: F841
+    place = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32631", always_xy=True).transform(5.0, 45.0)
+    reference = make_raster("ref.tif", np.full((60, 60), 240.0), (place[0] - 40, place[1] + 40), 4.0, "EPSG:32631+5773")
+    got = compare(dsm, reference)
+    above = -pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4326+5773", always_xy=True).transform(5.0, 45.0, 0.0)[2]
+    assert got.bias == pytest.approx(60.0 - above, abs=0.05)

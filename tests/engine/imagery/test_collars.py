@@ -155,3 +155,12 @@ def test_ends_of_any_other_value_are_found_to_the_pixel(ground, found, kind, fil
 def test_even_ground_at_the_ends_stays_where_brighter_and_darker_is_around(ground, found):
     ground[100:300, :80] = 700  # a field, a roof
     assert found(ground) == (0.0, None)
+
+
+def test_saturated_ground_at_the_ends_and_inside_stays(ground, found):
+    values = np.minimum(ground // 9 + 4, 255).astype(np.uint8)
+    values[100:130, :40] = values[300:340, 200:260] = values[600:, 480:] = 255  # roofs, cars, a cloud
+    assert found(values) == (0.0, None)
+    values[:, 460:] = 255  # a margin beside such roofs
+    share, mask = found(values)
+    assert mask[:, 460:].all() and not mask[300:340, 200:260].any()

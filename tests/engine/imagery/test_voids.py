@@ -106,6 +106,15 @@ def test_dsms_with_huge_voids_are_worked_on(tmp_path, told, stage):
         assert 90 < np.nanmin(terrain) < np.nanmax(terrain) < 130
 
 
+def test_another_nodata_value_does_not_make_the_usual_mark_a_height(tmp_path):
+    path = raster(tmp_path / "dsm.tif", holed(-9999.0))
+    dataset = gdal.Open(path, gdal.GA_Update)
+    dataset.GetRasterBand(1).SetNoDataValue(0.0)
+    dataset = None
+    with opened(path) as dataset:
+        assert np.nanmin(read_heights(dataset)) > 590 and np.nanmin(read_heights(dataset, None, 1, (60, 50))) > 590
+
+
 def test_the_usual_mark_is_a_note(tmp_path, told):
     said = told()
     dsm = write(tmp_path / "dsm.tif", [ground()])

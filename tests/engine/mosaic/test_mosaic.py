@@ -544,7 +544,7 @@ def town(x, y):
 
 @pytest.mark.parametrize(
     ("surface", "east", "beside"),
-    ((town, 20.0, 20.0), (town, 3.0, 3.0), (town, 0.4, None), (lambda x, y: 0.02 * x, 20.0, None)),
+    ((town, 20.0, 20.0), (town, 3.0, 3.0), (town, 0.4, None), (lambda x, y: 0.02 * (x - WEST), 20.0, None)),
     ids=("20 m", "3 m", "0.4 m", "a plane"),
 )
 @pytest.mark.long

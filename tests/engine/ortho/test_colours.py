@@ -158,6 +158,21 @@ def test_weights_and_shift_are_measured(town):
     assert np.abs(found.project(ground)[0] - 200.0 / RATIO).max() < 1.5
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("moved", (0, 5, 12))
+def test_an_xs_that_lies_beside_its_place_is_named(town, tmp_path, told, moved):
+    """XS moved by 12 px gave colours of other places, under "Good."."""
+    beside = []
+    for path in town["xs"]:
+        beside.append(str(tmp_path / Path(path).name))
+        dataset = gdal.GetDriverByName("GTiff").CreateCopy(beside[-1], gdal.Open(path))
+        dataset.WriteArray(np.roll(dataset.ReadAsArray(), moved, axis=-1))
+        dataset = None  # noqa: F841
+    _, said = fused({**town, "xs": beside}, tmp_path, told, colour="all")
+    named = {each.id for each in said.warnings} & {"xs-misplaced", "xs-unlike"}
+    assert bool(named) == (moved > 3)
+
+
 # --- the orthophoto ---
 
 

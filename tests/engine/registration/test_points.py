@@ -142,8 +142,8 @@ def test_rows_are_added_in_parts_and_may_be_stopped(table, monkeypatch):
         ("lon,lat\n1,2\n", "has no fields that say where its points are"),
         ("lon,lat,h\n1,north,3\n", "row 2: the field 'lat' is 'north', which is not a number"),
         (
-            "lon;lat;h\n3;36,15;1\n",
-            "row 2: the field 'lat' is '36,15', which is not a number; write decimals with a point",
+            "lon;lat;h\n3;36,15;1\n3;36.15;1\n",
+            r"has numbers with a decimal comma \(row 2\) and with a point \(row 3\): write all decimals alike",
         ),
         ("lon,lat,h\n3,36.15,1_000\n", "row 2: the field 'h' is '1_000', which is not a number"),
         ("lon,lat,h\n3,36.15,1\n3,36.15,x\n", "row 3: the field 'h' is 'x', which is not a number"),

@@ -188,7 +188,6 @@ def test_a_check_of_points_is_judged():
         "differ from the points' by +3.10 m as a whole": points(6, [3.1, 3.0, 3.2]),
         "Points that can be used: 3 (with fewer than 4": points(3, [0.1]),
         "in the images is 2.00 px (usual: at most 1.5 px)": points(6, [0.1], 2.0),
-        "contradict the others (P0)": replace(good, wrong=("P0",)),
     }
     for text, found in cases.items():
         (finding,) = verdict.of_points(found)

@@ -284,4 +284,4 @@ def test_an_orthophoto_of_another_place_is_refused_and_a_part_is_named(tmp_path,
             assert not (tmp_path / name).exists()
         else:
             run_stage("tiles3d", options, said)
-            assert any("covers 50 % of the DSM" in text for text in said.warnings)
+            assert any("shows 50.0 % of the heights" in text for text in said.warnings)

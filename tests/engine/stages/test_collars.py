@@ -132,3 +132,31 @@ def test_an_extent_that_images_show_wholly_changes_nothing(mountains, tmp_path, 
     options = {"images": mountains.images, "extent": [xmin - 0.1, ymin - 0.1, xmax + 0.1, ymax + 0.1]}
     made = run_stage("epmfit", {**options, "workspace": str(tmp_path), "extent_crs": "EPSG:4326"}, told())
     assert [view.part for view in Scene.load(made.scene).views] == [None] * 3
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("fill", (65535, -9999, -3.4e38))
+def test_tie_points_are_found_beside_margins_of_any_value(urban, tmp_path, told, fill):
+    """65535 would be bright ground, and pixels that are read reduced would have a part of -9999 or -3.4e38 in them."""
+    counts = []
+    for name in ("plain", "filled"):
+        images = []
+        for image in urban.images[:2]:
+            images.append(str(tmp_path / f"{name}_{Path(image).name}"))
+            source = gdal.Open(image)
+            values = source.GetRasterBand(1).ReadAsArray().astype(np.float32)
+            rows, columns = np.indices(values.shape)
+            if name == "filled":
+                values[(columns < 0.2 * (len(values) - rows)) | (rows < 30)] = fill
+            kind = gdal.GDT_UInt16 if fill > 0 else gdal.GDT_Float32
+            dataset = gdal.GetDriverByName("GTiff").Create(images[-1], *values.shape[::-1], 1, kind)
+            dataset.SetMetadata(source.GetMetadata("RPC"), "RPC")
+            dataset.GetRasterBand(1).WriteArray(values)
+            source = dataset = None
+        said = told()
+        scene = fit(images, tmp_path / name, said)
+        options = {"scene": str(scene.path), "output_scene": str(tmp_path / name / "r.json"), "quality": "fast"}
+        counts.append(run_stage("reconstruct", {**options, "workers": 1}, told()).n_tie_points)
+    assert all(view.mask for view in scene.views)
+    assert sum(f"of the value {fill:g}" in text or "black margins" in text for text in said.notes) == 2
+    assert counts[1] > 0.6 * counts[0]
