@@ -78,8 +78,8 @@ class Laid:
     other_datum: str = ""  # a sentence where the user's choice is not what the file states
 
     def cause(self, within_m: float, lon_lat: FloatArray) -> str:
-        """What a shift in height of more than ``within_m`` may come from, "" for a smaller one, one onto another relief,
-        and where unknown."""
+        """What a shift in height of more than ``within_m`` may come from; "" for a smaller one, for one onto another
+        relief, and where nothing explains it."""
         up = float(self.shift.moved[2])
         if abs(up) <= within_m or self.shift.other_relief is not None:
             return ""

@@ -65,7 +65,7 @@ class RegistrationParameters(Parameters):
     cloud_points: int = 4  # that a cell of a gridded cloud needs
     cloud_cells: int = 4_000_000  # of a gridded cloud: larger scenes have larger cells
     cloud_single: int = 200_000  # points of a sparse cloud, at most: more of them add nothing and take time
-    sparse: float = 0.25  # of the points in cells with enough of them, or of the blocks: fewer are no cells. Chosen
+    sparse: float = 0.5  # of the points in cells with enough of them, or of the blocks: fewer are no cells. Chosen
     known_slopes: float = 0.5  # of a reference's heights: where fewer have slopes, they are fitted, or not used. Chosen
     most_heights: int = 10_000_000  # of points and lasers within the scene: more do not fit into memory
     believable: float = 3.0  # promised standard deviations of height, within which a vertical datum is likely

@@ -376,9 +376,14 @@ class _Problem:
         return solution, self._whole(solution, basis, correlation), correlation
 
     def _whole(self, solution: _Solution, basis: FloatArray, correlation: Correlation) -> FloatArray:
-        """The covariance by all heights that have a weight; of several lengths for the slope, with that which says less
-        of the position."""
+        """The covariance by all heights that have a weight.
+
+        Instruments do not know the surface's noise; without them, of several lengths for the slope of the equations,
+        that counts which says less of the position.
+        """
         use, lattice = solution.weight > 0, self._parameters.lattice
+        if self._slopes is not None:
+            return self.covariance(solution, basis, correlation, use, lattice)
         steps = [step * self._surface.resolution_m for step in self._parameters.slope_steps]
         found = [
             self.covariance(solution, basis, correlation, use, lattice, self.slope(solution, basis, step_m))

@@ -107,7 +107,7 @@ def test_ground_only_where_there_is_some(tmp_path):
 
 
 def test_cells_with_few_points_are_left_out(tmp_path):
-    x, y, z = points(4000)
+    x, y, z = points(6000)
     path = write(tmp_path / "cloud.las", x, y, z)
     assert REGISTRATION.cloud_points == 4
     found = read_cloud(path, UTM, BOUNDS, 2.0)
@@ -116,6 +116,19 @@ def test_cells_with_few_points_are_left_out(tmp_path):
         np.floor(x[inside] / 2).astype(int) * 10_000_000 + np.floor(y[inside] / 2).astype(int), return_counts=True
     )[1]
     assert len(found.height) == (cells >= 4).sum() < len(cells)
+
+
+def test_a_sparse_cloud_gives_its_points(tmp_path):
+    """Hardly a cell had four of 6700 points over all of a scene: "no heights over the scene"."""
+    x, y, z = points(700, margin=0.0)
+    found = read_cloud(write(tmp_path / "cloud.las", x, y, z), UTM, BOUNDS, 2.0)
+    assert len(found.height) == 700 and found.width_m == (0.0, 0.0) and found.slopes is None
+    np.testing.assert_allclose(found.height, plane(*found.xy.T), atol=1e-3)
+    assert found.about.startswith("Single points, 700 of them")
+    thinned = read_cloud(
+        str(tmp_path / "cloud.las"), UTM, BOUNDS, 2.0, parameters=replace(REGISTRATION, cloud_single=300)
+    )
+    assert len(thinned.height) == 234
 
 
 def test_large_scenes_have_larger_cells_and_chunks_make_no_difference(tmp_path, monkeypatch):
