@@ -263,7 +263,8 @@ def mosaic(draw: Draw) -> Trial:
     def run(heard: Heard) -> str:
         one = write(draw.path("a.tif"), world, left, seed=1)
         other = write(draw.path("b.tif"), world, left if kind == "copy" else right, seed=1 if kind == "copy" else 2)
-        made = stage(MOSAIC, heard, dsms=[one, other], output=draw.path("m.tif"), report=draw.path("r.html"))
+        target = {"output": draw.path("m.tif"), "report": draw.path("r.html"), "crs": world.utm()}
+        made = stage(MOSAIC, heard, dsms=[one, other], **target)
         above = undulation(world.lon, world.lat) if left.datum == "EGM96" else 0.0
         return _heights_right(str(made.output), world, above, 0.25)
 

@@ -5,7 +5,7 @@ points observe that it is zero (they are in the pointing already), and two overl
 of two shifts. Each observation is weighted by its covariance. A direction that no observation determines stays as it
 is: of all solutions, that with the smallest shifts is taken.
 
-Where sources disagree by more than their covariances let expect, these are too small: the deviations of the result grow
+Where sources disagree by more than their covariances explain, these are too small: the deviations of the result grow
 by the Birge ratio (Birge 1932, Physical Review 40) of each axis, and cover half of what two sources contradict each
 other by, because nothing says which of them is wrong.
 """

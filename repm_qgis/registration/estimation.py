@@ -1,6 +1,6 @@
 """Steps, ranks and covariances of every registration: one place, so that none drops what heights determine.
 
-**Ranks.** Unknowns are metres and slopes, and a reference may say nothing of some of them. A pseudo-inverse mixes them
+**Ranks.** Unknowns are metres and slopes, and a reference may not determine some of them. A pseudo-inverse mixes them
 there: it spreads a height that is well determined over a position that is not, and calls the result exact. So each
 normal matrix gets a weak prior, which is that of Tikhonov (1963) and Levenberg (1944): what the heights determine they
 determine as without it, and the rest keeps its value, with the prior's deviation.
