@@ -81,9 +81,9 @@ def trials() -> List[str]:
         raise Failed(f"{bad} of {total[0]} trials ended silently wrong, with a crash or with a false alarm")
     kinds = sorted({what for what, _ in faults})
     return [
-        "Surfaces that are known by formula, at random places in Europe: hills, houses, heaps and pits; and a simulated "
-        "scene. CRS, cells, datum, unit, holes and type of numbers are drawn; some trials are sound, the others have one "
-        f"fault. Seed {_SEED}.",
+        "Surfaces that are known by formula, at random places in Europe: hills, houses, heaps and pits, and a "
+        "simulated scene. CRS, cells, datum, unit, holes and type of numbers are drawn; some trials are sound, the "
+        f"others have one fault. Seed {_SEED}.",
         table(["algorithm", "trials", "sound", *OUTCOMES], rows),
         "By fault:",
         table(["fault", *OUTCOMES], [[what, *(faults[what, kind] for kind in OUTCOMES)] for what in kinds]),
