@@ -184,11 +184,12 @@ def change(draw: Draw) -> Trial:
                 "after_confidence": paths["before_confidence"],
             }
         made = stage(CHANGE, heard, output=draw.path("d.tif"), report=draw.path("r.html"), **paths)
+        most = 0.1 + 0.3 * max(one.cell, two.cell)
         return _first(
             off_by(made.gained_m3, added, 3 * made.gained_deviation_m3 + 0.08 * added, "what was gained, m3,"),
             off_by(made.lost_m3, taken, 3 * made.lost_deviation_m3 + 0.08 * taken, "what was lost, m3,"),
-            off_by(made.dx, -two.moved[0], 0.2, "the shift to the east, m,"),
-            off_by(made.dy, -two.moved[1], 0.2, "the shift to the north, m,"),
+            off_by(made.dx, -two.moved[0], most, "the shift to the east, m,"),
+            off_by(made.dy, -two.moved[1], most, "the shift to the north, m,"),
         )
 
     return Trial(fault or "sound", not fault, run)

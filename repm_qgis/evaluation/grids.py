@@ -224,7 +224,7 @@ class HeightWarper:
         self._source_flat, self._target_flat = _flat(self._source.crs), _flat(target.crs)
         self._to_source = _between(self._target_flat, self._source_flat)
         self.warnings: List[Finding] = []
-        self._units: Tuple[float, ...] = (1.0, 1.0)
+        self._units = (1.0, 1.0)
         self.vertical = self._vertical_transformer()
 
     @property
@@ -354,9 +354,9 @@ class HeightWarper:
     def _best_operation(self, source: CRS, target: CRS, from_name: str, to_name: str) -> Transformer:
         to_geodetic = Transformer.from_crs(self._target_flat, 4326, always_xy=True)
         place = to_geodetic.transform_bounds(*self._target.bounds, densify_pts=5)
-        systems = geodetic_with_heights(source), geodetic_with_heights(target)
-        self._units = tuple(unit_of_heights(each) or 1.0 for each in systems)
-        group, missing = vertical_operations(*systems, place)
+        ours, theirs = geodetic_with_heights(source), geodetic_with_heights(target)
+        self._units = unit_of_heights(ours) or 1.0, unit_of_heights(theirs) or 1.0
+        group, missing = vertical_operations(ours, theirs, place)
         if not group.transformers:
             grids = f"PROJ's grid {' or '.join(missing)} is not installed" if missing else "PROJ has no transformation"
             remedy = f"{install_grid(missing)}, or transform" if missing else "transform"

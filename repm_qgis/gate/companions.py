@@ -57,7 +57,7 @@ def confidence_findings(
 def _place_on(dsm: Grid, confidence: Grid, option: str, whole: bool) -> Tuple[int, int]:
     """The column and row of the confidence raster's first cell among the DSM's cells; raises ImageError where its
     cells are others."""
-    column, row = dsm.to_cells(*(confidence.transform[index] for index in (0, 3)))
+    column, row = dsm.to_cells(confidence.transform[0], confidence.transform[3])
     steps = np.array([confidence.transform[i] - dsm.transform[i] for i in (1, 2, 4, 5)])
     side = abs(dsm.transform[1]) + abs(dsm.transform[2])
     drift = float(np.abs(steps).max()) * max(*dsm.size, *confidence.size)

@@ -12,6 +12,7 @@ from ..contracts.arrays import Window
 from ..contracts.errors import OptionError
 from ..evaluation.grids import Grid, metric_of
 from ..geometry.frames import on_earth, vertical_part
+from ..geometry.vertical import PLACED_TAG
 from ..imagery.heights import read_heights
 from ..imagery.raster import opened
 
@@ -28,7 +29,8 @@ def content_of(dataset: gdal.Dataset) -> str:
     if grid.wkt:
         datum, middle = vertical_part(on_earth(grid.crs, grid.path)), metric_of(grid).place
     numbers = [f"{number:.9g}" for number in grid.transform] + [f"{degrees:.6f}" for degrees in middle]
-    place = [columns, rows, bool(grid.wkt), datum, *numbers]
+    stated = dataset.GetMetadataItem(PLACED_TAG)  # by ground control, such as of a scene that was placed again
+    place = [columns, rows, bool(grid.wkt), datum, stated, *numbers]
     digest = hashlib.blake2b("|".join(map(str, place)).encode(), digest_size=16)
     for row in np.unique(np.linspace(0, rows - 1, min(rows, _MOST_ROWS)).astype(int)):
         heights = read_heights(dataset, Window(0, int(row), columns, 1)).astype(np.float64)

@@ -72,7 +72,8 @@ class GroundMetric:
 
 def metric_at(crs: str, lon: float, lat: float) -> GroundMetric:
     """The scale of a projected CRS at a longitude and latitude, degrees."""
-    return GroundMetric.at(pyproj.CRS.from_user_input(crs), *projected_from_geodetic(crs, np.array([lon, lat])))
+    x, y = projected_from_geodetic(crs, np.array([lon, lat]))
+    return GroundMetric.at(pyproj.CRS.from_user_input(crs), x, y)
 
 
 @lru_cache(maxsize=256)

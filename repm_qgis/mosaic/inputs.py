@@ -198,7 +198,8 @@ def _frame(options: MosaicOptions, first: Grid) -> Tuple[pyproj.CRS, float, Tupl
 def _metric(first: Grid, crs: pyproj.CRS) -> GroundMetric:
     """The scale of the mosaic's CRS in the middle of the first DSM."""
     to_crs = pyproj.Transformer.from_crs(flat_crs(first.crs), crs, always_xy=True)
-    return GroundMetric.at(crs, *to_crs.transform(*_middle(first)))
+    x, y = to_crs.transform(*_middle(first))
+    return GroundMetric.at(crs, x, y)
 
 
 def _middle(grid: Grid) -> Tuple[float, float]:

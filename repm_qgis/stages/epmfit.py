@@ -148,7 +148,8 @@ def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, prog
     _log_views(views, progress)
     views = _coarser_first(views)
     crs = _crs(options, views)
-    for finding in metric_at(crs, *middle_of(views)).finding(crs):
+    lon, lat = middle_of(views)
+    for finding in metric_at(crs, lon, lat).finding(crs):
         progress.warn(finding)
     search = common_heights(views)
     area = _area(views, crs, search, options, parameters.tiles)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Dict, Optional, Tuple
 
 import numpy as np
@@ -67,8 +67,14 @@ def surface_of(path: str, confidence: Optional[str]) -> Surface:
     errors = errors[np.isfinite(errors)]
     usual = max(float(np.median(errors)), _LEAST_ERROR_M) if errors.size else 0.0
     known = confidence if usual else ""
-    named = known, bands.error, bands.source, usual, findings
-    return Surface(path, grid.size, grid.transform, crs, found.datum, cell, *named)
+    return replace(
+        surface,
+        confidence=known,
+        error_band=bands.error,
+        source_band=bands.source,
+        usual_error=usual,
+        findings=findings,
+    )
 
 
 def _cell(grid: Grid) -> float:

@@ -171,8 +171,8 @@ def cut_of(
     percent = 100.0 * float(cut.sum()) / max(int(np.isfinite(slopes.height).sum()), 1)
     if percent <= parameters.most_cut_percent:
         return None
-    ends = np.max((slopes.height - below)[cut]), np.percentile(slopes.usual[cut], 95)
-    return Cut(percent, *map(float, ends))
+    deepest, steep = np.max((slopes.height - below)[cut]), np.percentile(slopes.usual[cut], 95)
+    return Cut(percent, deepest=float(deepest), slope=float(steep))
 
 
 def on_steep_ground(

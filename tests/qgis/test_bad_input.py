@@ -279,6 +279,9 @@ def test_a_missing_wheel_is_one_sentence_with_the_remedy(headless, sample, tmp_p
 def test_nothing_is_written_beside_inputs(plugin, feedback, sample, tmp_path):
     for name in ("dsm.tif", "reference.tif"):
         shutil.copy(sample.truth, tmp_path / name)
+    dataset = gdal.Open(str(tmp_path / "dsm.tif"), gdal.GA_Update)
+    dataset.GetRasterBand(1).SetOffset(0.25)  # else it would be a copy of its reference
+    dataset = None  # noqa: F841
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:comparedsm")
     _, fine = algorithm.run(
         {"DSM": str(tmp_path / "dsm.tif"), "REFERENCE": str(tmp_path / "reference.tif")},

@@ -31,6 +31,7 @@ VENV_PYTHON = sys.executable
 STAGES = """
 import multiprocessing, os, signal, subprocess, sys, time
 from ..contracts.errors import RpcMissingError
+from ..contracts.findings import Finding
 
 class Answer(dict):
     def to_mapping(self):
@@ -48,7 +49,7 @@ def run_stage(name, options, progress):
         progress.step(0.5, "half")
         progress.step(0.2, "never back")
         progress.info("a note")
-        progress.warn("a warning")
+        progress.warn(Finding("id", "a warning"))
         return Answer(got=options, here=os.getcwd(), path=os.environ.get("PYTHONPATH"),
                       home=os.environ.get("PYTHONHOME"), prefix=sys.prefix)
     if name == "sentence":

@@ -8,6 +8,7 @@ import types
 import laspy
 import numpy as np
 import pytest
+from osgeo import gdal
 from qgis.core import (
     QgsApplication,
     QgsCategorizedSymbolRenderer,
@@ -302,13 +303,18 @@ def test_without_a_project_or_a_provider_nothing_is_loaded(plugin, feedback, mon
 
 def test_height_errors_are_styled_about_zero(load, sample, tmp_path):
     dsm = shutil.copy(sample.truth, tmp_path / "dsm.tif")
+    dataset = gdal.Open(str(dsm), gdal.GA_Update)
+    band = dataset.GetRasterBand(1)
+    heights = band.ReadAsArray()
+    band.WriteArray(np.where(heights == band.GetNoDataValue(), heights, heights + np.float32(0.25)))
+    dataset = band = None  # noqa: F841
     results, layers = load(
         "comparedsm",
         {"DSM": str(dsm), "REFERENCE": sample.truth, "REPORT": ""},
         {"ERROR": tmp_path / "e.tif"},
     )
     layer = layers["ERROR"]
-    assert results["RMSE"] == pytest.approx(0, abs=1e-6)
+    assert results["RMSE"] == pytest.approx(0.25, abs=1e-4)
     assert results["COMPLETENESS"] == pytest.approx(100)
     assert isinstance(layer.renderer(), QgsSingleBandPseudoColorRenderer)
     assert layer.renderer().classificationMin() == -layer.renderer().classificationMax()
