@@ -53,7 +53,8 @@ def regular(border: ogr.Geometry, cell: float, parameters: OutlineParameters = B
     straight = _polygon([ring for ring in made if ring is not None]) if made[0] is not None else None
     if straight is not None and len(straight) and _common(straight[0], border) >= least:
         return straight[0]
-    simple = _polygon([ring[corners] for ring, corners in zip(rings, kept) if len(corners) > 2])
+    large = [ring[corners] for ring, corners in zip(rings, kept) if len(corners) > 2]
+    simple = _polygon(large) if len(kept[0]) > 2 else []  # without an outline, holes have nothing to lie in
     if len(simple) and _common(simple[0], border) >= least:
         return simple[0]
     return _polygon(rings)[0] if _polygon(rings) else border.Clone()

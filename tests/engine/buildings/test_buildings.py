@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from osgeo import gdal, ogr
 
+from repm_qgis.buildings.regularisation import regular
 from repm_qgis.contracts.errors import Cancelled, ImageError, OptionError, OverlapError
 from repm_qgis.geometry.vertical import ELLIPSOID, TAG
 from repm_qgis.imagery import raster
@@ -404,3 +405,10 @@ def test_the_layer_has_its_style_and_the_report_its_table(village, tmp_path):
     assert "<table" in page and "data:image/png" in page and "gable" in page
     assert json.loads((tmp_path / "b.city.json").read_text(encoding="utf-8"))["metadata"]["title"]
     assert gdal.OpenEx(str(tmp_path / "b.gpkg"), gdal.OF_VECTOR) is not None
+
+
+def test_a_strip_that_simplification_leaves_two_corners_of_stays_as_it_is():
+    """A roof part of one row of cells ended in an IndexError (block 0073 of whu_tlc)."""
+    strip = ogr.CreateGeometryFromWkt("POLYGON ((0 0, 30 0, 30 0.5, 0 0.5, 0 0))")
+    made = regular(strip, 5.0)
+    assert made.IsValid() and made.GetArea() == pytest.approx(15.0)
