@@ -208,17 +208,16 @@ SIMULATED: Sequence[Tuple[str, Tuple[str, int, int], Tuple[int, int]]] = (
 def choices() -> List[str]:
     cases = [Case(default(*spec), views, name) for name, spec, views in few(SIMULATED)]
     texts: List[str] = []
-    for case in few(cases + [Case(scene) for scene in real("truth_urban", "pleiades_pair") if not is_quick()]):
+    for case in few(cases + [Case(scene) for scene in real("truth_urban") if not is_quick()]):
         rows = []
         for label in [*few(VARIANTS), *BACKENDS] if is_quick() else VARIANTS:
             found = case.score(VARIANTS[label], BACKENDS.get(label, sgm.BACKEND))
             rows.append([label, *(round(value, 3) for value in found)])
         (low, high), (width, height) = case.geometry.disparities, case.frame.size
-        of = "" if case.align else " (reference: S2P's DSM)"
         kind = str if case.name == "truth_urban" else Details
-        head = f"{case.name}, {width} x {height} px, {high - low:.0f} disparities{of}:"
+        head = f"{case.name}, {width} x {height} px, {high - low:.0f} disparities:"
         texts += [kind(head), kind(table(HEADERS, rows))]
-    return [*texts, *absent("truth_urban", "pleiades_pair")]
+    return [*texts, *absent("truth_urban")]
 
 
 SECTIONS = [Section("matching", "The matcher's choices", "make bench-matching", {"matching": choices})]
