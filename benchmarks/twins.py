@@ -6,13 +6,14 @@ from __future__ import annotations
 import tempfile
 import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Callable, Dict, Iterator, List, Tuple
+from typing import Any, Callable, Dict, List, Tuple
 
 import numpy as np
 
 from benchmarks import twin_scenes, twin_trials
-from benchmarks.runner import Failed, is_quick, say
+from benchmarks.runner import CORES, Failed, alone, is_quick, say
 from benchmarks.tables import Section, table
 from benchmarks.twin_trials import Draw, Heard, Trial
 from benchmarks.twin_world import World
@@ -45,18 +46,18 @@ def outcome(trial: Trial) -> Tuple[str, str]:
     return ("silently wrong" if wrong else "right"), wrong
 
 
-def tried(name: str, count: int, shared: Path, seed: int = _SEED) -> Iterator[Tuple[Trial, str, str]]:
-    """So many trials of one algorithm, each with its outcome and the sentence about it; ``shared`` is a folder for the
-    scene that trials of scenes use."""
+def ended(name: str, count: int, shared: str, seed: int = _SEED) -> List[List[object]]:
+    """So many trials of one algorithm: of each what is tried, whether it is sound, its outcome, and why where that is
+    bad; ``shared`` is a folder for the scene that trials of scenes use."""
+    rows: List[List[object]] = []
     for number in range(count):
-        own = [seed, sorted(TRIALS).index(name), number]
-        rng = np.random.default_rng(own)
+        rng = np.random.default_rng([seed, sorted(TRIALS).index(name), number])
         with tempfile.TemporaryDirectory() as folder:
-            trial = TRIALS[name](Draw(World.drawn(int(rng.integers(1 << 30))), Path(folder), rng, shared))
+            draw = Draw(World.drawn(int(rng.integers(1 << 30))), Path(folder), rng, Path(shared))
+            trial = TRIALS[name](draw)
             kind, why = outcome(trial)
-        if kind in _BAD:
-            say(f"{name} {number}: {trial.what}: {kind}: {why[:300]}")
-        yield trial, kind, why
+        rows.append([trial.what, trial.sound, kind, f"{name} {number}: {why[:300]}" if kind in _BAD else ""])
+    return rows
 
 
 def trials() -> List[str]:
@@ -64,15 +65,23 @@ def trials() -> List[str]:
     rows: List[List[object]] = []
     faults: Dict[Tuple[str, str], int] = Counter()
     start = time.monotonic()
-    with tempfile.TemporaryDirectory() as shared:
-        for name in TRIALS:
+
+    def run(name: str) -> List[List[Any]]:
+        count = _QUICK if is_quick() else _OF_ALL.get(name, _EACH)
+        with tempfile.TemporaryDirectory() as shared:
+            found: List[List[Any]] = alone(ended, name, count, shared).result
+        return found
+
+    with ThreadPoolExecutor(CORES) as pool:
+        for name, found in zip(TRIALS, pool.map(run, TRIALS)):
             counts: Dict[str, int] = Counter()
-            for trial, kind, _ in tried(name, _QUICK if is_quick() else _OF_ALL.get(name, _EACH), Path(shared)):
+            for what, _, kind, why in found:
                 counts[kind] += 1
-                counts["sound"] += trial.sound
-                faults[trial.what.replace("terrain: ", ""), kind] += 1
-            ended = [counts[kind] for kind in OUTCOMES]
-            rows.append([f"`repm:{name}`", sum(ended), counts["sound"], *ended])
+                faults[what.replace("terrain: ", ""), kind] += 1
+                if why:
+                    say(f"{what}: {kind}: {why}")
+            sound = sum(each[1] for each in found)
+            rows.append([f"`repm:{name}`", len(found), sound, *(counts[kind] for kind in OUTCOMES)])
     total = [sum(int(str(row[index])) for row in rows) for index in range(1, len(rows[0]))]
     rows.append(["all", *total])
     say(f"{total[0]} trials in {time.monotonic() - start:.0f} s")
