@@ -10,6 +10,7 @@ from ..contracts.options import BuildingsOptions
 from ..imagery.cell_polygons import burned
 from ..reports import charts, pictures
 from ..reports.report import Report, fixed
+from ..runtime.progress import counted
 from .finding import FoundBuildings
 
 _PICTURE_PX = 900
@@ -21,11 +22,8 @@ def buildings_page(options: BuildingsOptions, found: FoundBuildings, terrain: st
     page = Report("Buildings of a DSM", f"{options.output}, of {options.dsm}")
     buildings = found.buildings
     errors = np.array([each.heights.error for each in buildings])
-    page.verdict(
-        f"{len(buildings)} buildings; the height of half of them is known to {_median(errors):.2f} m or better "
-        "(standard error).",
-        about=True,
-    )
+    known = f"; the height of half of them is known to {_median(errors):.2f} m or better (standard error)"
+    page.verdict(f"{counted(len(buildings), 'building')}{known if buildings else ''}.", about=True)
     page.section("Picture")
     picture, low, high = _picture(found)
     page.png(pictures.png_bytes(picture), "Footprints over the shaded surface, coloured by their height; north is up.")

@@ -29,6 +29,7 @@ _UNDECLARED = (-9999.0, -32768.0, -32767.0)
 _OURS = "REPM_ENGINE"  # a tag of all our rasters, whose voids are declared
 _STRIP_CELLS = 1 << 22  # that are read at once
 _SAMPLES, _SAMPLE_CELLS = 8, 512  # windows along each side, and their sides: the share of voids is taken from them
+_CONSTANT_CELLS = 20  # that are the same, at least: one cell may be a tower
 _CONSTANT_SHARE, _CONSTANT_GAP_M = 5e-4, 20.0  # of the heights, that are the same; and how far all others are
 _FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
 _UNITS = {
@@ -147,7 +148,8 @@ def _constant(heights: FloatImage) -> Tuple[float, float]:
             value = end(heights)
             others = heights[heights != value]
             share = 1.0 - others.size / heights.size
-            if others.size and share > _CONSTANT_SHARE and abs(end(others) - value) > _CONSTANT_GAP_M:
+            many = heights.size - others.size >= _CONSTANT_CELLS and share > _CONSTANT_SHARE
+            if many and others.size and abs(end(others) - value) > _CONSTANT_GAP_M:
                 return share, float(value)
     return 0.0, 0.0
 

@@ -14,6 +14,7 @@ from repm_qgis.gate.companions import confidence_findings, picture_findings, ter
 from repm_qgis.gate.content import copies
 from repm_qgis.gate.times import order_findings, require_possible, time_findings
 from repm_qgis.imagery import raster
+from repm_qgis.imagery.heights import stray_numbers
 from repm_qgis.stages import run_stage
 
 SIDE, CELL, WEST, NORTH = 240, 0.5, 500000.0, 4000000.0
@@ -179,3 +180,14 @@ def test_the_cases_that_were_read_wrongly(shared_data, tmp_path, told):
     options = {"dsm": str(datum / "fd.tif"), "dtm": str(datum / "fdtm_off.tif"), "output": str(tmp_path / "b.gpkg")}
     run_stage("buildings", {**options, "report": str(page)}, told())
     assert "46.7 m below the ground" in top()
+
+
+def test_a_void_that_could_be_a_height_is_named_and_a_single_tower_is_not(tmp_path):
+    sparse = np.full((SIDE, SIDE), np.nan)
+    sparse[::17, ::17] = surface()[::17, ::17]
+    sparse[0, 0] += 140.0
+    holes = surface()
+    holes[:40, :40] = 0.0
+    for values, share in ((surface(), 0.0), (sparse, 0.0), (holes, 1600 / SIDE**2)):
+        with raster.opened(written(tmp_path / "x.tif", values)) as dataset:
+            assert stray_numbers(dataset).constant == pytest.approx(share)
