@@ -97,6 +97,10 @@ class Draw:
         form = replace(form, fill=-9999.0) if form.scaled and form.fill < -1e6 else form
         return replace(form, **fixed)  # type: ignore[arg-type]
 
+    def kind(self, *kinds: str) -> str:
+        """One of some kinds of trials, "" for a sound one."""
+        return kinds[self.rng.integers(len(kinds))]
+
     def any_fault(self, alone: bool = False) -> Tuple[str, Fault]:
         """A fault of a raster of heights; of one that is used alone, what it shows by itself."""
         faults = VOIDS if alone else FAULTS
@@ -149,8 +153,7 @@ def change(draw: Draw) -> Trial:
     two = draw.form(sigma=0.1, holes=0.0, scaled=False, moved=moved, added=float(rng.uniform(-1, 1)))
     two = replace(two, metadata={"REPM_DAYS": "2024-05-01"})
     one = replace(one, metadata={"REPM_DAYS": "2020-05-01"})
-    kinds = ["", "", "", "raster", "gap", "moved", "reversed", "copy", "zero errors"]
-    kind, fault, hole = kinds[rng.integers(len(kinds))], "", None
+    kind, fault, hole = draw.kind("", "", "", "raster", "gap", "moved", "reversed", "copy", "zero errors"), "", None
     conf_two = two
     if kind == "raster":
         fault, change_it = draw.any_fault()
@@ -205,8 +208,7 @@ def series(draw: Draw) -> Trial:
     box = (-25.0, -25.0, 25.0, 25.0)
     rate = float(rng.uniform(0.8, 2.0))
     form = draw.form(sigma=0.1, scaled=False)
-    kinds = ["", "", "", "raster", "copy", "reversed", "year", "offset"]
-    kind, fault, change_it = kinds[rng.integers(len(kinds))], "", None
+    kind, fault, change_it = draw.kind("", "", "", "raster", "copy", "reversed", "year", "offset"), "", None
     if kind == "raster":
         fault, change_it = draw.any_fault()
     elif kind:
@@ -245,11 +247,10 @@ def series(draw: Draw) -> Trial:
 
 def mosaic(draw: Draw) -> Trial:
     """Two DSMs that overlap: the mosaic's heights are those of the formula."""
-    world, rng = draw.world, draw.rng
+    world = draw.world
     left = draw.form(covers=(-SIDE_M / 2, -SIDE_M / 2, 20.0, SIDE_M / 2))
     right = draw.form(covers=(-20.0, -SIDE_M / 2, SIDE_M / 2, SIDE_M / 2), datum=left.datum)
-    kinds = ["", "", "raster", "copy"]
-    kind, fault = kinds[rng.integers(len(kinds))], ""
+    kind, fault = draw.kind("", "", "raster", "copy"), ""
     if kind == "raster":
         fault, change_it = draw.any_fault()
         right = change_it(right)
@@ -286,8 +287,7 @@ def comparedsm(draw: Draw) -> Trial:
     """A DSM with a known bias against a reference."""
     world, rng = draw.world, draw.rng
     dsm, reference = draw.form(added=float(rng.uniform(-0.4, 0.4))), draw.form()
-    kinds = ["", "", "raster", "copy", "part"]
-    kind, fault = kinds[rng.integers(len(kinds))], ""
+    kind, fault = draw.kind("", "", "raster", "copy", "part"), ""
     if kind == "raster":
         fault, change_it = draw.any_fault()
         reference = change_it(reference)
@@ -318,8 +318,7 @@ def dtm(draw: Draw) -> Trial:
     """The terrain below a DSM is the ground of the formula."""
     world, rng = draw.world, draw.rng
     form = draw.form(datum="ellipsoid")
-    kinds = ["", "", "raster", "steep"]
-    kind, fault = kinds[rng.integers(len(kinds))], ""
+    kind, fault = draw.kind("", "", "raster", "steep"), ""
     if kind == "raster":
         fault, change_it = draw.any_fault(alone=True)
         form = change_it(form)
@@ -342,8 +341,7 @@ def buildings(draw: Draw) -> Trial:
         world = World.drawn(int(rng.integers(1 << 30)))
     flat = {"crs": world.utm(), "cell": 0.5, "holes": 0.0}
     dsm, ground = draw.form(**flat), draw.form(**flat)
-    kinds = ["", "", "low", "half", "raster", "terrain"]
-    kind, fault = kinds[rng.integers(len(kinds))], ""
+    kind, fault = draw.kind("", "", "low", "half", "raster", "terrain"), ""
     if kind == "raster":
         fault, change_it = draw.any_fault()
         dsm = change_it(dsm)
@@ -376,8 +374,7 @@ def editdsm(draw: Draw) -> Trial:
     world, rng = draw.world, draw.rng
     form = draw.form(datum="ellipsoid")
     box, value = (-15.0, -12.0, 14.0, 13.0, 0.0), float(world.base + rng.uniform(-3, 3))
-    kinds = ["", "", "raster", "value"]
-    kind, fault = kinds[rng.integers(len(kinds))], ""
+    kind, fault = draw.kind("", "", "raster", "value"), ""
     if kind == "raster":
         fault, change_it = draw.any_fault(alone=True)
         form = change_it(form)
@@ -409,8 +406,7 @@ def checkgcps(draw: Draw) -> Trial:
     """Points of known height on a DSM with a known bias."""
     world, rng = draw.world, draw.rng
     form = draw.form(added=float(rng.uniform(-0.4, 0.4)), datum="ellipsoid", holes=0.0)
-    kinds = ["", "", "raster", "feet", "geoid", "turned"]
-    kind, fault = kinds[rng.integers(len(kinds))], ""
+    kind, fault = draw.kind("", "", "raster", "feet", "geoid", "turned"), ""
     if kind == "raster":
         fault, change_it = draw.any_fault()
         form = change_it(form)
@@ -444,10 +440,9 @@ def checkgcps(draw: Draw) -> Trial:
 
 def tiles3d(draw: Draw) -> Trial:
     """The tileset's box lies where the surface is."""
-    world, rng = draw.world, draw.rng
+    world = draw.world
     form = draw.form()
-    kinds = ["", "", "raster", "picture"]
-    kind, fault = kinds[rng.integers(len(kinds))], ""
+    kind, fault = draw.kind("", "", "raster", "picture"), ""
     if kind == "raster":
         fault, change_it = draw.any_fault(alone=True)
         form = change_it(form)

@@ -18,6 +18,7 @@ from pyproj.exceptions import CRSError
 from ..contracts.arrays import FloatImage, Size, Window
 from ..contracts.checks import as_text
 from ..contracts.errors import ImageError
+from ..geometry.height_causes import FOOT_M
 from ..geometry.vertical import metres_per_unit
 from . import raster
 
@@ -31,12 +32,12 @@ _STRIP_CELLS = 1 << 22  # that are read at once
 _SAMPLES, _SAMPLE_CELLS = 8, 512  # windows along each side, and their sides: the share of voids is taken from them
 _CONSTANT_CELLS = 20  # that are the same, at least: one cell may be a tower
 _CONSTANT_SHARE, _CONSTANT_GAP_M = 5e-4, 20.0  # of the heights, that are the same; and how far all others are
-_FOOT, _SURVEY_FOOT = 0.3048, 1200 / 3937
+_SURVEY_FOOT = 1200 / 3937
 _UNITS = {
     **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
     **dict.fromkeys(("cm", "centimetre", "centimeter", "centimetres", "centimeters"), 0.01),
     **dict.fromkeys(("mm", "millimetre", "millimeter", "millimetres", "millimeters"), 0.001),
-    **dict.fromkeys(("ft", "foot", "feet"), _FOOT),
+    **dict.fromkeys(("ft", "foot", "feet"), FOOT_M),
     **dict.fromkeys(("us-ft", "ftus", "us survey foot", "foot_us"), _SURVEY_FOOT),
 }
 
