@@ -284,3 +284,10 @@ def test_a_release_names_what_is_in_its_way(to_release, monkeypatch, capsys):
         assert part in said
     assert release.main(["two"]) == 1 and "'two' is no version" in capsys.readouterr().out
     assert state(folder)[1] == ""
+
+
+def test_every_file_has_a_name_that_windows_takes():
+    listing = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True).stdout.decode()
+    names = [name for name in listing.split("\0") if name]
+    assert len(names) > 1000
+    assert [name for name in names if re.search(r'[<>:"|?*\\\x00-\x1f]|[ .](/|$)', name)] == []
