@@ -45,3 +45,11 @@ class Finding(str):
 def distinct(findings: Iterable[Finding]) -> List[Finding]:
     """Each sentence once, in their order."""
     return list({str(each): each for each in findings}.values())
+
+
+def as_percent(share: float) -> str:
+    """A share as text, never 0 or 100 % where it is not."""
+    percent = 100.0 * share
+    if 0.0 < percent < 0.1:
+        return "less than 0.1 %"
+    return f"{min(percent, 99.9):.1f} %" if share < 1.0 else "100 %"

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import List, Tuple
+from typing import List, Optional, Tuple
 
 import numpy as np
 from osgeo import gdal
 
-from ..contracts.arrays import FloatImage, Window
+from ..contracts.arrays import FloatArray, FloatImage, Window
 from ..contracts.errors import EmptyResultError, ImageError, OverlapError
-from ..contracts.findings import Finding
+from ..contracts.findings import Finding, as_percent
 from ..evaluation.comparison import sample_windows
 from ..evaluation.coregistration import align
 from ..evaluation.grids import Grid, HeightWarper, bounds_on, cell_metres, overlap
@@ -19,6 +19,7 @@ from ..imagery.confidence import confidence_bands
 from ..imagery.heights import read_heights, read_values
 from ..imagery.raster import opened
 from ..registration.solve import mode
+from .open_ground import ground_offsets
 from .parameters import GATE, GateParameters
 
 _ROWS = 512  # of a raster that are read
@@ -39,17 +40,17 @@ def confidence_findings(
         known, stated, alone, nothing = _counts(heights, errors, band, (column, row))
     if nothing > parameters.most_unstated * max(stated, 1):
         raise ImageError(
-            f"{_percent(nothing / max(stated, 1))} of the expected errors of '{confidence}' are 0 or less, which no "
+            f"{as_percent(nothing / max(stated, 1))} of the expected errors of '{confidence}' are 0 or less, which no "
             f"height has: give the raster that was written with the DSM, or leave {option} empty."
         )
     findings = []
     without = 1.0 - stated / max(known, 1)
     if without > parameters.most_unstated:
-        text = f"{_percent(without)} of the heights of '{dsm}' have no expected error in '{confidence}'"
+        text = f"{as_percent(without)} of the heights of '{dsm}' have no expected error in '{confidence}'"
         findings.append(Finding("error-unknown", f"{text}, and are left out of what needs one: give the whole raster."))
     strange = alone / max(alone + stated, 1)
     if known and strange > parameters.most_strange:
-        text = f"{_percent(strange)} of the expected errors of '{confidence}' belong to no height of '{dsm}'"
+        text = f"{as_percent(strange)} of the expected errors of '{confidence}' belong to no height of '{dsm}'"
         findings.append(Finding("confidence-of-other", f"{text}: check that it was written with this DSM.", "doubt"))
     return findings
 
@@ -92,9 +93,11 @@ def _counts(
     return known, stated, alone, nothing
 
 
-def terrain_findings(dsm: str, terrain: str, parameters: GateParameters = GATE) -> List[Finding]:
-    """What is to be known of a terrain that is used below a DSM: how much of it there is, and whether the two lie at
-    the same height.
+def terrain_findings(
+    dsm: str, terrain: str, promised_m: float = 0.0, parameters: GateParameters = GATE
+) -> List[Finding]:
+    """What is to be known of a terrain that is used below a DSM, whose heights have this usual error (m): how much of
+    it there is, and whether the two lie at the same height.
 
     Raises ImageError for one that cannot be used, OverlapError where it lies elsewhere.
     """
@@ -102,29 +105,47 @@ def terrain_findings(dsm: str, terrain: str, parameters: GateParameters = GATE) 
         grid = Grid.of(heights)
         warper = HeightWarper(ground, grid)
         overlap(Grid.of(ground), grid)
-        patches = _patches(heights, grid, warper)
+        windows = sample_windows(grid, grid.bounds, EVALUATION.comparison)
+        patches = [(read_heights(heights, window), warper.read(grid.window(window))) for window in windows]
         cell = cell_metres(grid)
     findings = list(warper.warnings)
-    above = np.concatenate([np.empty(0), *((surface - below).ravel() for surface, below in patches)])
-    above = above[np.isfinite(above)]
+    differences = [surface - below for surface, below in patches]
+    above = np.concatenate([np.empty(0), *(each[np.isfinite(each)] for each in differences)])
     covered = above.size / max(sum(int(np.isfinite(surface).sum()) for surface, _ in patches), 1)
     if covered < 1.0 - parameters.most_uncovered:
-        text = f"The terrain '{terrain}' covers {_percent(covered)} of the heights of '{dsm}'"
+        text = f"The terrain '{terrain}' covers {asas_percent(covered)} of the heights of '{dsm}'"
         findings.append(
             Finding("terrain-partial", f"{text}: nothing is found elsewhere, and what its edge cuts is wrong.")
         )
     if above.size:
-        low, middle = np.percentile(above, (parameters.ground_percent, 50.0))
-        if low > parameters.most_off_m or middle < -parameters.most_off_m:
-            off = mode(above, parameters.mode_share)
-            text = (
-                f"The terrain '{terrain}' lies {abs(off):.1f} m {'below' if off > 0 else 'above'} the ground of '{dsm}'"
-            )
+        ground = ground_offsets(differences, windows, cell, parameters)
+        off, tilted = _off(above, ground, promised_m, parameters)
+        if off:
+            how = f"{'up to ' if tilted else ''}{abs(off):.1f} m {'below' if off > 0 else 'above'}"
             remedy = "check that both have the same vertical datum and unit, and show the same place"
-            findings.append(Finding("terrain-off", f"{text}: {remedy}.", "doubt"))
+            text = f"The terrain '{terrain}' lies {how} the ground of '{dsm}': {remedy}."
+            findings.append(Finding("terrain-off", text, "doubt"))
         else:
             findings += _displacement(terrain, dsm, patches, cell, parameters)
     return findings
+
+
+def _off(
+    above: FloatArray, ground: Optional[FloatArray], promised_m: float, parameters: GateParameters
+) -> Tuple[float, bool]:
+    """How far a terrain lies below the ground, m, 0 where it fits, and whether this is so in a part only; ``above`` are
+    all heights above it, ``ground`` those of the open ground."""
+    if ground is None:
+        low, middle = np.percentile(above, (parameters.ground_percent, 50.0))
+        if low > parameters.most_unseen_off_m or middle < -parameters.most_unseen_off_m:
+            return mode(above, parameters.mode_share), False
+        return 0.0, False
+    low, middle, high = np.percentile(ground, (2.0, 50.0, 98.0))
+    worst = max((low, high), key=abs)
+    if abs(worst) <= max(parameters.most_off_m, promised_m):
+        return 0.0, False
+    tilted = high - low > 0.5 * parameters.most_off_m
+    return float(worst if tilted else middle), bool(tilted)
 
 
 def _displacement(
@@ -149,17 +170,11 @@ def _displacement(
     return []
 
 
-def _patches(heights: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List[Tuple[FloatImage, FloatImage]]:
-    """Samples of a DSM with the terrain below them, (rows, columns) each, m."""
-    windows = sample_windows(grid, grid.bounds, EVALUATION.comparison)
-    return [(read_heights(heights, window), warper.read(grid.window(window))) for window in windows]
-
-
 def picture_findings(dsm: str, picture: str, share: float, parameters: GateParameters = GATE) -> List[Finding]:
     """What is to be known of a picture that is draped over a DSM, of whose heights it shows this share."""
     if share >= 1.0 - parameters.most_uncovered:
         return []
-    text = f"The picture '{picture}' shows {_percent(share)} of the heights of '{dsm}'"
+    text = f"The picture '{picture}' shows {as_percent(share)} of the heights of '{dsm}'"
     return [Finding("picture-partial", f"{text}: the rest has no colours.")]
 
 
@@ -173,11 +188,3 @@ def share_under(picture: Grid, dsm: Grid) -> float:
             f"The orthophoto '{picture.path}' does not lie over the DSM '{dsm.path}': choose the one of the same place."
         )
     return share
-
-
-def _percent(share: float) -> str:
-    """A share as text, never 0 or 100 where it is not."""
-    percent = 100.0 * share
-    if 0.0 < percent < 0.1:
-        return "less than 0.1 %"
-    return f"{min(percent, 99.9):.1f} %" if share < 1.0 else "100 %"

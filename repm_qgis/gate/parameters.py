@@ -16,7 +16,16 @@ class GateParameters(Parameters):
     most_uncovered: float = 0.01  # share of a DSM that a companion may leave out
     ground_percent: float = 5.0  # of a DSM's heights, at least, lie on the ground
     mode_share: float = 0.25  # of the differences, in the shortest interval that has so many: the ground
-    most_off_m: float = 3.0  # between a terrain and the ground of its DSM: geoids are tens of metres from the ellipsoid
+    most_off_m: float = 1.0  # between a terrain and the open ground of its DSM; what stands higher is no ground
+    most_unseen_off_m: float = 3.0  # the same where no open ground is seen: geoids are tens of metres from the ellipsoid
+    open_cell_m: float = 2.0  # of the open ground: noise of cells is averaged
+    open_width_m: float = 60.0  # of the opening that takes houses off
+    open_near_m: float = 2.0  # above the opening, which follows the lowest heights
+    open_gradient: float = 0.25  # m per m above the terrain, up to which cells are smooth
+    open_share: float = 0.02  # of the cells that are open ground, at least, and
+    open_cells: int = 50  # so many
+    open_tukey: float = 4.0  # spreads from the plane, from which on cells do not count
+    open_least_m: float = 0.1  # of that spread
     near_m: float = 5.0  # of a DSM's heights to a terrain, where ground is compared with ground
     most_displaced_m: float = 2.0  # between a terrain and a DSM; and so many cells
     most_displaced_cells: float = 2.0

@@ -47,16 +47,10 @@ def heights_off(
     cause = likely_cause(middle, float(height), float(lon), float(lat), usual)
     if not cause and abs(middle) <= parameters.places.believable * promised_up_m:
         return None
-    if cause:
-        text = (
-            f"The control points lie {abs(middle):.1f} m {'below' if middle > 0 else 'above'} where the vendors' RPCs "
-            f"see them, as a whole, and usual errors of the RPCs are within {usual:.1f} m. They would change by "
-            f"{cause}: check the unit of their heights and GCP_DATUM."
-        )
-    else:
-        text = (
-            f"The control points lie {abs(middle):.1f} m {'below' if middle > 0 else 'above'} where the vendors' RPCs "
-            f"see them, as a whole, and usual errors of the RPCs are within {usual:.1f} m. Check the unit of "
-            "their heights and GCP_DATUM."
-        )
-    return Finding("gcp-heights-off", text, "doubt")
+    text = (
+        f"The control points lie {abs(middle):.1f} m {'below' if middle > 0 else 'above'} where the vendors' RPCs see "
+        f"them, as a whole, and usual errors of the RPCs are within {usual:.1f} m."
+    )
+    changed = f" They would change by {cause}." if cause else ""
+    remedy = " Check the unit of their heights and GCP_DATUM."
+    return Finding("gcp-heights-off", f"{text}{changed}{remedy}", "doubt")

@@ -43,7 +43,7 @@ def run(options: BuildingsOptions, progress: Progress, parameters: EngineParamet
     require_metres(surface)
     progress.warn_all(surface.findings)
     if options.dtm:
-        progress.warn_all(terrain_findings(options.dsm, options.dtm))
+        progress.warn_all(terrain_findings(options.dsm, options.dtm, surface.usual_error))
     with kept_workers(), temporary_folder(options.output) as folder:
         terrain, share = options.dtm, 0.0
         if not terrain:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..contracts.errors import RepmError
 from ..contracts.file_kinds import is_catalogue, is_cloud
-from ..contracts.findings import Finding
+from ..contracts.findings import Finding, as_percent
 from ..contracts.options import Options
 from ..imagery.heights import HIGHEST_M, LOWEST_M, stray_numbers
 from ..imagery.raster import opened
@@ -28,7 +28,7 @@ def name_voids(options: Options, progress: Progress) -> None:
             progress.warn(
                 Finding(
                     "void-likely",
-                    f"{_percent(stray.constant)} of the cells of '{path}' have exactly {stray.constant_m:g} m, far "
+                    f"{as_percent(stray.constant)} of the cells of '{path}' have exactly {stray.constant_m:g} m, far "
                     "from all others: declare that number as its nodata value (gdal_edit -a_nodata), if it is none.",
                     "doubt",
                 )
@@ -37,18 +37,13 @@ def name_voids(options: Options, progress: Progress) -> None:
             progress.warn(
                 Finding(
                     "heights-impossible",
-                    f"{_percent(stray.impossible)} of the cells of '{path}' have numbers that cannot be heights "
+                    f"{as_percent(stray.impossible)} of the cells of '{path}' have numbers that cannot be heights "
                     f"(below {LOWEST_M:g} or above {HIGHEST_M:g} m), and no nodata value declares them: they are "
                     "left out.",
                 )
             )
         elif stray.marked:
             progress.info(
-                f"{_percent(stray.marked)} of the cells of '{path}' are -9999 or a like number, which no nodata value "
+                f"{as_percent(stray.marked)} of the cells of '{path}' are -9999 or a like number, which no nodata value "
                 "declares: they are left out."
             )
-
-
-def _percent(share: float) -> str:
-    percent = 100 * share
-    return f"{percent:.0f} %" if percent >= 10 else f"{percent:.2g} %"
