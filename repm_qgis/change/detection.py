@@ -24,13 +24,14 @@ class Detected:
 
     ``level`` of detection, m, NaN where a height is missing or interpolated. ``change`` in m, 0 where there is none,
     NaN where it is not known. ``strength``: the differences of the cells of cores, together with their neighbours, in
-    levels of flat ground; 0 elsewhere. ``error`` of the difference, m.
+    levels of flat ground; 0 elsewhere. ``error`` of the difference, m. ``beside_walls``: changed cells that walls hide.
     """
 
     level: FloatImage
     change: FloatImage
     strength: FloatImage
     error: FloatImage
+    beside_walls: Mask
 
     @property
     def core(self) -> Mask:
@@ -46,7 +47,7 @@ def detect(
     level = np.float32(parameters.level) * error
     flat = np.float32(parameters.level) * model.of_heights(cells)
     change = np.where(np.isfinite(cells.difference) & np.isfinite(level), np.float32(0), np.float32(np.nan))
-    strength = np.zeros(change.shape, np.float32)
+    strength, hidden = np.zeros(change.shape, np.float32), np.zeros(change.shape, bool)
     for sign, lower, higher in ((1, cells.before, cells.after), (-1, cells.after, cells.before)):
         rise = higher - lower
         top, bottom = _extreme(lower, parameters.reach_cells), -_extreme(-higher, parameters.reach_cells)
@@ -66,9 +67,38 @@ def detect(
         most = _extreme(np.where(core, rise, _FAR), parameters.grown_cells)
         # Matching blurs an edge: it lies where half of the height is reached, if the ground beside it is unchanged.
         grown &= ~unchanged | (rise >= np.float32(0.5) * most)
+        beside = _joined(
+            grown, np.minimum(rise, most), rise, (rise > flat) & _walled(lower, seen, flat, parameters), parameters
+        )
+        hidden |= beside > 0
         change = np.where(grown, np.float32(sign) * np.minimum(rise, most), change)
+        change = np.where(beside > 0, np.float32(sign) * beside, change)
         strength = np.maximum(strength, own)
-    return Detected(level, change, strength, error)
+    return Detected(level, change, strength, error, hidden)
+
+
+def _walled(lower: FloatImage, seen: FloatImage, flat: FloatImage, parameters: DetectionParameters) -> Mask:
+    """The strips at walls where a change shows no core: the ground that they hide, and the roof's rim."""
+    rim = 2 * parameters.reach_cells + parameters.coherent_radius
+    with np.errstate(invalid="ignore"):
+        return np.asarray((seen > lower + flat) | (-_extreme(-lower, rim) < lower - flat))
+
+
+def _joined(
+    grown: Mask, change: FloatImage, rise: FloatImage, walled: Mask, parameters: DetectionParameters
+) -> FloatImage:
+    """The change of the cells in the strips at walls, which show no change by themselves, that adjoin a change and
+    differ by at least half as much and at most as much as it does; 0 elsewhere."""
+    around = np.where(grown, change, _FAR)
+    result = np.zeros(change.shape, np.float32)
+    for _ in range(parameters.strip_cells if grown.any() else 0):
+        near = _extreme(around, 1)
+        new = walled & (around == _FAR) & (rise >= np.float32(0.5) * near) & (near > 0)
+        if not new.any():
+            break
+        around = np.where(new, near, around)
+        result = np.where(new, np.minimum(rise, near), result)
+    return result
 
 
 def _agreed(beyond: FloatImage, parameters: DetectionParameters) -> FloatImage:

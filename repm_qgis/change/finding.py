@@ -36,7 +36,7 @@ HISTOGRAM_BIN = 0.05
 """Width of a bin of the standardised differences, which reach ten standard deviations to both sides."""
 _HISTOGRAM_HALF = 200
 SIGNIFICANT_BANDS = ("significant change (m)", "level of detection (m)")
-_CHANGE, _LEVEL, _CORE_ERROR, _SUPPORT = 1, 2, 3, 4  # bands of the raster between the passes
+_CHANGE, _LEVEL, _CORE_ERROR, _SUPPORT, _HIDDEN = 1, 2, 3, 4, 5  # bands of the raster between the passes
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class _Work:
         with ExitStack() as stack:
             output = stack.enter_context(self._product(self._options.output, ["AFTER - BEFORE (m)"]))
             signs = stack.enter_context(raster.created(self._signs, self._frame(1, np.uint8), nodata=None, own=True))
-            between = stack.enter_context(raster.created(self._between, self._frame(4), own=True))
+            between = stack.enter_context(raster.created(self._between, self._frame(_HIDDEN), own=True))
             for index, (own, wide) in enumerate(windows):
                 progress.check_cancelled()
                 progress.step(index / len(windows), f"block {index + 1} of {len(windows)}")
@@ -176,8 +176,8 @@ class _Work:
                 gain, loss = (np.uint8(value) * (side > 0) for value, side in ((GAIN, change), (LOSS, -change)))
                 signs.write((gain + loss).astype(np.uint8), own.col, own.row)
                 support = found.strength[part] >= cells.support
-                kept = ((_CHANGE, change), (_LEVEL, level), (_CORE_ERROR, core_error), (_SUPPORT, support))
-                for band, values in kept:
+                hidden = found.beside_walls[part]
+                for band, values in enumerate((change, level, core_error, support, hidden), start=_CHANGE):
                     between.write(values.astype(np.float32), own.col, own.row, band)
                 if own.col + own.width == grid.size[0]:
                     for writer in (output, signs, between):
@@ -215,10 +215,8 @@ class _Work:
                 inner = own.grown(1, size)
                 numbers = np.zeros((around.height, around.width), np.int64)
                 numbers[inner.inside(around)] = outlines.numbers(inner)
-                change, core_error, support = (
-                    raster.read(between, own, band) for band in (_CHANGE, _CORE_ERROR, _SUPPORT)
-                )
-                sums.add(numbers, change, core_error, support)
+                bands = _CHANGE, _CORE_ERROR, _SUPPORT, _HIDDEN
+                sums.add(numbers, *(raster.read(between, own, band) for band in bands))
             plan = self._parameters.detection
             least_m2 = plan.support_share * self._options.min_area
             changes = sums.changes(outlines, model, correlation, cell_m2, offset_m, least_m2, plan)

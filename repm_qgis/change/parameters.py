@@ -40,6 +40,8 @@ class DetectionParameters(Parameters):
     reach_cells: int = 2  # by which matching moves edges: a core is beyond the other DSM's extremes within it
     hidden_gradient: float = 3.0  # a wall hides a strip as wide as a third of its height from views beside the nadir
     hidden_steps: int = 4  # doublings of the strip's reach: 15 cells along an axis
+    strip_cells: int = 15  # along a wall's foot, by which a change that ends there goes on; as hidden_steps
+    strip_unsure: float = 0.5  # of what it has there is its standard deviation; chosen
     coherent_radius: int = 2  # of the window in which neighbours must agree: 5 x 5 cells (Wheaton et al. 2010)
     coherent_share: float = 0.6  # of its cells; chosen
     grown_cells: int = 4  # a change reaches so far beyond its core; edges are blurred by two cells
@@ -52,7 +54,7 @@ class DetectionParameters(Parameters):
     def halo_cells(self) -> int:
         """The largest distance of a cell that another cell's result depends on."""
         strip = 2 << self.hidden_steps  # an axis' reach and that of both diagonals
-        return self.reach_cells + 2 * strip + self.coherent_radius + 2 * self.grown_cells + 1
+        return self.reach_cells + 2 * strip + self.coherent_radius + 2 * self.grown_cells + self.strip_cells + 1
 
 
 @dataclass(frozen=True)

@@ -148,10 +148,13 @@ class Sums:
         self.core = np.zeros(count + 1)
         self.core_variance = np.zeros(count + 1)
         self.supported = np.zeros(count + 1)
+        self.hidden = np.zeros(count + 1)
 
-    def add(self, numbers: IntArray, change: FloatImage, core_error: FloatImage, support: FloatImage) -> None:
-        """A block's cells, ``numbers`` with a margin of one around them; ``core_error`` is NaN outside of cores, and
-        ``support`` is above 0 in cells that no error explains."""
+    def add(
+        self, numbers: IntArray, change: FloatImage, core_error: FloatImage, support: FloatImage, hidden: FloatImage
+    ) -> None:
+        """A block's cells, ``numbers`` with a margin of one around them; ``core_error`` is NaN outside of cores,
+        ``support`` is above 0 in cells that no error explains, and ``hidden`` in the strips at walls."""
         inner = numbers[1:-1, 1:-1]
         edge = np.zeros(inner.shape, bool)
         for near in (numbers[:-2, 1:-1], numbers[2:, 1:-1], numbers[1:-1, :-2], numbers[1:-1, 2:]):
@@ -165,6 +168,7 @@ class Sums:
             (self.core, core, None),
             (self.core_variance, core, np.nan_to_num(errors) ** 2),
             (self.supported, support > 0, None),
+            (self.hidden, hidden > 0, np.nan_to_num(values)),
         ):
             here = inner > 0 if mask is None else mask & (inner > 0)
             total += np.bincount(inner[here], None if weights is None else weights[here], minlength=total.size)
@@ -184,10 +188,10 @@ class Sums:
         """The changes, the largest volume first, without those that their own uncertainty exceeds, or that are
         supported on less than ``least_m2``.
 
-        Three independent parts make a volume uncertain: the errors of its heights, averaged over as many cells as are
+        Four independent parts make a volume uncertain: the errors of its heights, averaged over as many cells as are
         independent; the outline, which may be off by the horizontal error all around at the mean height, as matching
-        makes objects too wide or too narrow on all sides; and the offset between the DSMs (``offset_m``, its standard
-        deviation).
+        makes objects too wide or too narrow on all sides; the offset between the DSMs (``offset_m``, its standard
+        deviation); and what lies in the strips that walls hide, which may be less.
         """
         found = []
         for number, gain, outline in outlines:
@@ -198,7 +202,8 @@ class Sums:
             mean = float(self.change[number] / cells)
             height = math.sqrt(self.core_variance[number] / self.core[number] * correlation.variance_share(area))
             edge = model.horizontal_m * math.sqrt(cell_m2) * float(self.edge[number]) * abs(mean)
-            deviation = math.sqrt((area * height) ** 2 + edge**2 + (area * offset_m) ** 2)
+            strips = parameters.strip_unsure * cell_m2 * float(self.hidden[number])
+            deviation = math.sqrt((area * height) ** 2 + edge**2 + (area * offset_m) ** 2 + strips**2)
             if abs(area * mean) > parameters.level * deviation:
                 largest = sign * float(self.largest[number])
                 found.append(Changed(number, outline, gain, int(cells), area, mean, largest, area * mean, deviation))

@@ -17,7 +17,9 @@ class GateParameters(Parameters):
     ground_percent: float = 5.0  # of a DSM's heights, at least, lie on the ground
     mode_share: float = 0.25  # of the differences, in the shortest interval that has so many: the ground
     most_off_m: float = 1.0  # between a terrain and the open ground of its DSM; what stands higher is no ground
-    most_unseen_off_m: float = 3.0  # the same where no open ground is seen: geoids are tens of metres from the ellipsoid
+    most_unseen_off_m: float = (
+        3.0  # the same where no open ground is seen: geoids are tens of metres from the ellipsoid
+    )
     open_cell_m: float = 2.0  # of the open ground: noise of cells is averaged
     open_width_m: float = 60.0  # of the opening that takes houses off
     open_near_m: float = 2.0  # above the opening, which follows the lowest heights
