@@ -67,9 +67,7 @@ def detect(
         most = _extreme(np.where(core, rise, _FAR), parameters.grown_cells)
         # Matching blurs an edge: it lies where half of the height is reached, if the ground beside it is unchanged.
         grown &= ~unchanged | (rise >= np.float32(0.5) * most)
-        beside = _joined(
-            grown, np.minimum(rise, most), rise, (rise > flat) & _walled(lower, seen, flat, parameters), parameters
-        )
+        beside = _joined(grown, most, np.where(rise > flat, rise, _FAR), _walls(lower, seen, parameters), parameters)
         hidden |= beside > 0
         change = np.where(grown, np.float32(sign) * np.minimum(rise, most), change)
         change = np.where(beside > 0, np.float32(sign) * beside, change)
@@ -77,23 +75,23 @@ def detect(
     return Detected(level, change, strength, error, hidden)
 
 
-def _walled(lower: FloatImage, seen: FloatImage, flat: FloatImage, parameters: DetectionParameters) -> Mask:
-    """The strips at walls where a change shows no core: the ground that they hide, and the roof's rim."""
+def _walls(lower: FloatImage, seen: FloatImage, parameters: DetectionParameters) -> FloatImage:
+    """How high the walls are whose strips a cell lies in: the ground that they hide, and the roof's rim; m."""
     rim = 2 * parameters.reach_cells + parameters.coherent_radius
-    with np.errstate(invalid="ignore"):
-        return np.asarray((seen > lower + flat) | (-_extreme(-lower, rim) < lower - flat))
+    return np.asarray(np.maximum(seen - lower, lower + _extreme(-lower, rim)))
 
 
 def _joined(
-    grown: Mask, change: FloatImage, rise: FloatImage, walled: Mask, parameters: DetectionParameters
+    grown: Mask, most: FloatImage, rise: FloatImage, walls: FloatImage, parameters: DetectionParameters
 ) -> FloatImage:
-    """The change of the cells in the strips at walls, which show no change by themselves, that adjoin a change and
-    differ by at least half as much and at most as much as it does; 0 elsewhere."""
-    around = np.where(grown, change, _FAR)
-    result = np.zeros(change.shape, np.float32)
+    """The change of the cells in the strips at walls, which show no core, that adjoin a change and differ by at least
+    half as much as it does, as the walls are high; 0 elsewhere."""
+    around = np.where(grown, most, _FAR)
+    result = np.zeros(most.shape, np.float32)
     for _ in range(parameters.strip_cells if grown.any() else 0):
         near = _extreme(around, 1)
-        new = walled & (around == _FAR) & (rise >= np.float32(0.5) * near) & (near > 0)
+        with np.errstate(invalid="ignore"):
+            new = (around == _FAR) & (near > 0) & (np.minimum(rise, walls) >= np.float32(0.5) * near)
         if not new.any():
             break
         around = np.where(new, near, around)

@@ -20,6 +20,7 @@ from ..evaluation.comparison import Thumbnails
 from ..evaluation.coregistration import Alignment
 from ..evaluation.grids import Grid
 from ..files.vector import write_layer
+from ..gate.places import displaced_finding, known_m2, partial_finding
 from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.frames import flat_crs
 from ..imagery import raster
@@ -29,7 +30,7 @@ from ..runtime.workspace import temporary_folder
 from .detection import detect
 from .errors import Correlation, ErrorModel, correlation_of, fitted_model
 from .parameters import CHANGE, ChangeParameters
-from .surfaces import Cells, Surfaces, lay_on
+from .surfaces import Cells, Surfaces, displacement, lay_on
 from .volumes import FIELDS, GAIN, LOSS, Changed, Outlines, Sums, Total, kept_cells, total_of
 
 HISTOGRAM_BIN = 0.05
@@ -45,7 +46,8 @@ class Found:
 
     ``offset_m`` is the standard deviation of the offset between the DSMs, ``level_m`` the median level of detection.
     ``histogram`` counts the differences on stable ground over their error, in bins of ``HISTOGRAM_BIN``. The pictures
-    are small ones of BEFORE, AFTER and the change, with cells of ``picture_cell_m``.
+    are small ones of BEFORE, AFTER and the change, with cells of ``picture_cell_m``. ``shared`` is the share of the
+    larger DSM's ground that was compared.
     """
 
     grid: Grid
@@ -61,6 +63,7 @@ class Found:
     histogram: IntArray
     pictures: Dict[str, FloatImage]
     picture_cell_m: float
+    shared: float
     warnings: List[Finding]
 
     def total(self, gain: bool) -> Total:
@@ -122,6 +125,7 @@ class _Work:
         surfaces, progress, stable = self._surfaces, self._progress, self._parameters.errors.stable
         progress.step(0.02, "Alignment on stable ground")
         surfaces.alignment = lay_on(surfaces, self._options.align, stable, progress)
+        beside = displacement(surfaces, self._options.align, progress)
         progress.step(0.2, "Errors on stable ground")
         samples = [surfaces.read(window) for window in surfaces.samples()]
         model = fitted_model(samples, self._cell_m, self._parameters.errors)
@@ -137,6 +141,8 @@ class _Work:
         usual = level / self._parameters.detection.level * spread
         offset = usual * math.sqrt(correlation.variance_share(self._compared * surfaces.cell_m2))
         changes = self._volumes(model, correlation, offset, Part(progress, 0.75, 0.9))
+        largest = max(map(known_m2, (self._options.before, self._options.after)))
+        shared = min(self._compared * surfaces.cell_m2 / largest, 1.0)
         return Found(
             self._grid,
             surfaces.cell_m2,
@@ -151,7 +157,12 @@ class _Work:
             self._histogram,
             self._thumbnails.pictures,
             self._cell_m * self._thumbnails.factor,
-            surfaces.warnings,
+            shared,
+            [
+                *surfaces.warnings,
+                *displaced_finding(self._options.after, self._options.before, beside),
+                *partial_finding(shared, "Both dates have"),
+            ],
         )
 
     def _detect(self, model: ErrorModel, progress: Progress) -> None:

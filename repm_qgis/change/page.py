@@ -7,6 +7,7 @@ import math
 import numpy as np
 from pyproj import Transformer
 
+from ..contracts.findings import as_percent
 from ..contracts.options import ChangeOptions
 from ..geometry.frames import flat_crs
 from ..reports import charts, pictures
@@ -28,7 +29,7 @@ def change_page(options: ChangeOptions, found: Found) -> Report:
         if found.changes
         else "Nothing changed significantly between the two dates."
     )
-    page.verdict(good, about=True)
+    page.verdict(f"{good} {as_percent(found.shared)} of the larger DSM's ground was compared.", about=True)
     _totals(page, options, found)
     _pictures(page, found)
     _largest(page, options, found)

@@ -15,9 +15,10 @@ from ..contracts.errors import EmptyResultError
 from ..contracts.findings import Finding, distinct
 from ..contracts.options import ChangeOptions
 from ..evaluation.comparison import gradient, sample_windows
-from ..evaluation.coregistration import Alignment, align
+from ..evaluation.coregistration import Alignment, Patch, align
 from ..evaluation.grids import Grid, HeightWarper, cell_metres, overlap
 from ..evaluation.parameters import EVALUATION
+from ..gate.places import displaced_by
 from ..geometry.frames import flat_crs
 from ..imagery.confidence import confidence_bands
 from ..imagery.heights import to_metres
@@ -189,12 +190,7 @@ def lay_on(surfaces: TwoDates, method: str, stable: float, progress: Progress) -
     ``method`` is that of :func:`~repm_qgis.evaluation.coregistration.align`; ``stable`` are the standard deviations
     beyond which a difference is no longer one of stable ground. Raises EmptyResultError.
     """
-    patches = []
-    for window in surfaces.samples():
-        progress.check_cancelled()
-        cells = surfaces.read(window)
-        before = np.where(cells.measured, cells.before, np.float32(np.nan))
-        patches.append((cells.after, before))
+    patches = _patches(surfaces, progress)
     if not any((np.isfinite(before) & np.isfinite(after)).any() for after, before in patches):
         raise EmptyResultError(
             "No cell has a height in both DSMs: choose DSMs of the same ground, or with fewer holes (FILL)."
@@ -205,6 +201,23 @@ def lay_on(surfaces: TwoDates, method: str, stable: float, progress: Progress) -
     steady = [(after, _steady(found.applied(after, surfaces.cell), before, stable)) for after, before in patches]
     # Both NMADs are those of unchanged cells: with changed cells in one of them, the shift would seem to gain more.
     return align(method, steady, surfaces.cell, progress.check_cancelled)
+
+
+def displacement(surfaces: TwoDates, method: str, progress: Progress) -> float:
+    """How far AFTER fits to BEFORE better beside its place, m, where the ``method`` of the alignment leaves it there; 0
+    elsewhere."""
+    moved = method in ("3d", "cells")
+    return 0.0 if moved else displaced_by(_patches(surfaces, progress), surfaces.cell, progress.check_cancelled)
+
+
+def _patches(surfaces: TwoDates, progress: Progress) -> List[Patch]:
+    """AFTER and BEFORE in samples, where both are measured."""
+    patches: List[Patch] = []
+    for window in surfaces.samples():
+        progress.check_cancelled()
+        cells = surfaces.read(window)
+        patches.append((cells.after, np.where(cells.measured, cells.before, np.float32(np.nan))))
+    return patches
 
 
 def _steady(after: FloatImage, before: FloatImage, stable: float) -> FloatImage:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import List, Optional, Tuple
 
 import numpy as np
 from osgeo import gdal
 
 from ..contracts.arrays import FloatArray, FloatImage, Window
-from ..contracts.errors import EmptyResultError, ImageError, OverlapError
+from ..contracts.errors import ImageError, OverlapError
 from ..contracts.findings import Finding, as_percent
 from ..evaluation.comparison import sample_windows
-from ..evaluation.coregistration import align
 from ..evaluation.grids import Grid, HeightWarper, bounds_on, cell_metres, overlap
 from ..evaluation.parameters import EVALUATION
 from ..imagery.confidence import confidence_bands
@@ -21,8 +19,7 @@ from ..imagery.raster import opened
 from ..registration.solve import mode
 from .open_ground import ground_offsets
 from .parameters import GATE, GateParameters
-
-_ROWS = 512  # of a raster that are read
+from .places import ROWS, displaced_by
 
 
 def confidence_findings(
@@ -79,7 +76,7 @@ def _counts(
     errors that are not above 0."""
     columns, rows = heights.RasterXSize, heights.RasterYSize
     counts = np.zeros(4, np.int64)
-    for row in np.unique(np.linspace(0, rows - 1, min(rows, _ROWS)).astype(int)):
+    for row in np.unique(np.linspace(0, rows - 1, min(rows, ROWS)).astype(int)):
         has = np.isfinite(read_heights(heights, Window(0, int(row), columns, 1))[0])
         error = np.full(columns, np.nan)
         own = Window(place[0], 0, errors.RasterXSize, 1).common(Window(0, 0, columns, 1))
@@ -113,7 +110,7 @@ def terrain_findings(
     above = np.concatenate([np.empty(0), *(each[np.isfinite(each)] for each in differences)])
     covered = above.size / max(sum(int(np.isfinite(surface).sum()) for surface, _ in patches), 1)
     if covered < 1.0 - parameters.most_uncovered:
-        text = f"The terrain '{terrain}' covers {asas_percent(covered)} of the heights of '{dsm}'"
+        text = f"The terrain '{terrain}' covers {as_percent(covered)} of the heights of '{dsm}'"
         findings.append(
             Finding("terrain-partial", f"{text}: nothing is found elsewhere, and what its edge cuts is wrong.")
         )
@@ -160,14 +157,9 @@ def _displacement(
     for surface, below in patches:
         with np.errstate(invalid="ignore"):
             ground.append((np.where(np.abs(surface - below) < parameters.near_m, surface, np.float32(np.nan)), below))
-    with suppress(EmptyResultError):
-        found = align("3d", ground, cell)
-        by = float(np.hypot(found.dx, found.dy))
-        most = max(parameters.most_displaced_m, parameters.most_displaced_cells * max(map(abs, cell)))
-        if by > most and found.nmad_after < parameters.displaced_gain * found.nmad_before:
-            text = f"The terrain '{terrain}' fits to the ground of '{dsm}' better {by:.1f} m beside its place"
-            return [Finding("terrain-displaced", f"{text}: check the CRS and the place of both.", "doubt")]
-    return []
+    by = displaced_by(ground, cell, parameters=parameters)
+    text = f"The terrain '{terrain}' fits to the ground of '{dsm}' better {by:.1f} m beside its place"
+    return [Finding("terrain-displaced", f"{text}: check the CRS and the place of both.", "doubt")] if by else []
 
 
 def picture_findings(dsm: str, picture: str, share: float, parameters: GateParameters = GATE) -> List[Finding]:

@@ -28,10 +28,13 @@ class GateParameters(Parameters):
     open_cells: int = 50  # so many
     open_tukey: float = 4.0  # spreads from the plane, from which on cells do not count
     open_least_m: float = 0.1  # of that spread
-    near_m: float = 5.0  # of a DSM's heights to a terrain, where ground is compared with ground
+    near_m: float = (
+        5.0  # of a DSM's heights to a terrain, where ground is compared with ground; larger misfits count so
+    )
     most_displaced_m: float = 2.0  # between a terrain and a DSM; and so many cells
     most_displaced_cells: float = 2.0
-    displaced_gain: float = 0.8  # of the spread, at most, after the shift; otherwise it explains nothing
+    displaced_gain: float = 0.8  # of the misfit, at most, after the shift; otherwise it explains nothing
+    least_shared: float = 0.8  # of the ground of the largest DSM that all dates have; chosen
     least_year: int = 1957  # of the first satellite
 
 

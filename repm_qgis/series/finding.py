@@ -13,7 +13,7 @@ import numpy as np
 from .. import __version__
 from ..change.errors import Correlation, correlation_of
 from ..change.parameters import CHANGE
-from ..change.surfaces import lay_on
+from ..change.surfaces import displacement, lay_on
 from ..change.volumes import GAIN, LOSS, Outlines
 from ..contracts.arrays import AnyArray, FloatArray, FloatImage, IntArray, Mask, Window
 from ..contracts.documents import Keywords
@@ -23,6 +23,7 @@ from ..contracts.options import SeriesOptions
 from ..evaluation.comparison import Thumbnails
 from ..evaluation.coregistration import Alignment
 from ..evaluation.grids import Grid
+from ..gate.places import displaced_finding, known_m2, partial_finding
 from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.frames import flat_crs
 from ..geometry.vertical import TAG
@@ -53,7 +54,8 @@ _PICTURES = ("heights", "trend", "first", "last")
 class FoundSeries:
     """What was found. ``offsets`` (dates,) is how far each DSM lay above the first where nothing changed, m, and
     ``alignments`` what each was moved by; ``known`` (dates,) the cells with a height. ``rising`` and ``falling`` are m2
-    with a significant trend. The pictures are small ones, with cells of ``picture_cell_m``.
+    with a significant trend. The pictures are small ones, with cells of ``picture_cell_m``. ``shared`` is the least
+    share of the largest DSM's ground on which a date has heights.
     """
 
     series: List[DatedDsm]
@@ -69,6 +71,7 @@ class FoundSeries:
     changed: float
     pictures: Dict[str, FloatImage]
     picture_cell_m: float
+    shared: float
     warnings: List[Finding]
 
     @property
@@ -128,6 +131,7 @@ class _Work:
         self._common = np.zeros(dates, np.int64)
         self._signs = np.zeros(3)
         self._changed = 0
+        self._beside: List[Finding] = []
         self._step = max(1, math.ceil(max(self._grid.size) / errors.thinned_side))
         columns, rows = self._grid.size
         self._thinned = np.full((dates, -(-rows // self._step), -(-columns // self._step)), np.nan, np.float32)
@@ -153,7 +157,14 @@ class _Work:
         areas = self._volumes(errors, Part(progress, 0.75, 0.98))
         cell_m2 = surfaces.cell_m2
         rising, falling = (float(self._signs[index] * cell_m2) for index in (2, 0))
-        warnings = [*surfaces.warnings, *([] if removed else self._offset_warnings(errors))]
+        shares = self._known * cell_m2 / max(known_m2(each.path) for each in self._series)
+        least, shared = int(shares.argmin()), min(float(shares.min()), 1.0)
+        warnings = [
+            *surfaces.warnings,
+            *([] if removed else self._offset_warnings(errors)),
+            *self._beside,
+            *partial_finding(shared, f"'{self._series[least].path}' has"),
+        ]
         return FoundSeries(
             self._series,
             self._years,
@@ -168,6 +179,7 @@ class _Work:
             float(self._changed * cell_m2),
             self._thumbnails.pictures,
             self._cell_m * self._thumbnails.factor,
+            shared,
             warnings,
         )
 
@@ -178,6 +190,8 @@ class _Work:
             progress.step(date / len(self._series), f"Alignment of date {date + 1} of {len(self._series)}")
             pair = self._surfaces.pair(0, date)
             found = lay_on(pair, "vertical" if method == "none" else method, CHANGE.errors.stable, progress)
+            by = displacement(pair, method, progress)
+            self._beside += displaced_finding(self._series[date].path, self._series[0].path, by)
             offsets.append(-found.dz)
             if method != "none":
                 self._surfaces.alignments[date] = found

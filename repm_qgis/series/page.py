@@ -8,6 +8,7 @@ from typing import Dict, List, Tuple
 import numpy as np
 
 from ..contracts.arrays import ByteImage, FloatArray, FloatImage
+from ..contracts.findings import as_percent
 from ..contracts.options import SeriesOptions
 from ..reports import charts, pictures
 from ..reports.report import Report, fixed
@@ -25,7 +26,7 @@ def series_page(options: SeriesOptions, found: FoundSeries) -> Report:
     first, last = found.series[0].label, found.series[-1].label
     page = Report("Series of dates", f"{len(found.series)} DSMs, {first} to {last}")
     good = f"The surface rises significantly on {found.rising:.0f} m2 and falls on {found.falling:.0f} m2."
-    page.verdict(good, about=True)
+    page.verdict(f"{good} All dates have at least {as_percent(found.shared)} of the largest DSM's ground.", about=True)
     _volumes(page, options, found)
     _pictures(page, found)
     _dates(page, options, found)

@@ -44,6 +44,6 @@ def name_voids(options: Options, progress: Progress) -> None:
             )
         elif stray.marked:
             progress.info(
-                f"{as_percent(stray.marked)} of the cells of '{path}' are -9999 or a like number, which no nodata value "
-                "declares: they are left out."
+                f"{as_percent(stray.marked)} of the cells of '{path}' are -9999 or a like number, which no nodata "
+                "value declares: they are left out."
             )

@@ -1,0 +1,72 @@
+"""Whether surfaces that are used together lie at one place, and how much of the ground they share."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import Callable, List, Sequence, Tuple
+
+import numpy as np
+
+from ..contracts.arrays import Window
+from ..contracts.errors import EmptyResultError
+from ..contracts.findings import Finding, as_percent
+from ..evaluation.coregistration import Patch, align
+from ..evaluation.grids import Grid, cell_metres
+from ..imagery.heights import read_heights
+from ..imagery.raster import opened
+from .parameters import GATE, GateParameters
+
+ROWS = 512
+"""Rows of a raster that are read, where shares are counted."""
+
+
+def displaced_by(
+    patches: Sequence[Patch],
+    cell: Tuple[float, float],
+    check: Callable[[], None] = lambda: None,
+    parameters: GateParameters = GATE,
+) -> float:
+    """How far beside its place a surface fits to another one better, m; 0 where it fits as well as anywhere, or the
+    relief does not say. ``patches`` are those of :func:`~repm_qgis.evaluation.coregistration.align`."""
+    with suppress(EmptyResultError):
+        found = align("3d", patches, cell, check)
+        by = float(np.hypot(found.dx, found.dy))
+        if by > max(parameters.most_displaced_m, parameters.most_displaced_cells * max(map(abs, cell))):
+            before, after = (
+                np.concatenate([(surface - other)[np.isfinite(surface - other)] for surface, other in pairs])
+                for pairs in (patches, [(found.applied(surface, cell), other) for surface, other in patches])
+            )
+            # Over level ground only walls tell: what is far off counts, but no more than so much.
+            misfits = [np.minimum(np.abs(d - np.median(d)), parameters.near_m).mean() for d in (before, after)]
+            if misfits[1] < parameters.displaced_gain * misfits[0]:
+                return by
+    return 0.0
+
+
+def displaced_finding(path: str, other: str, by: float) -> List[Finding]:
+    """The finding of a date's DSM that fits to another one's so many metres beside its place; none for 0."""
+    if not by:
+        return []
+    text = f"'{path}' fits to '{other}' better {by:.1f} m beside its place"
+    return [
+        Finding("dates-displaced", f"{text}: check the CRS and the place of both, or set ALIGN to 3d.", "doubt"),
+    ]
+
+
+def known_m2(path: str) -> float:
+    """The ground on which a DSM has heights, m2, by evenly spaced rows. Raises ImageError."""
+    with opened(path) as dataset:
+        columns, rows = dataset.RasterXSize, dataset.RasterYSize
+        chosen = np.unique(np.linspace(0, rows - 1, min(rows, ROWS)).astype(int))
+        known = sum(int(np.isfinite(read_heights(dataset, Window(0, int(row), columns, 1))).sum()) for row in chosen)
+        width, height = cell_metres(Grid.of(dataset))
+    return known * rows / len(chosen) * abs(width * height)
+
+
+def partial_finding(share: float, what: str, parameters: GateParameters = GATE) -> List[Finding]:
+    """The finding of dates that share too little of the ground: ``what`` says who has heights on this share of what
+    the largest DSM covers."""
+    if share >= parameters.least_shared:
+        return []
+    text = f"{what} heights on {as_percent(share)} of the ground that the largest DSM covers"
+    return [Finding("dates-partial", f"{text}: nothing is known of the rest. Cut the DSMs to one area, if it matters.")]
