@@ -11,6 +11,7 @@ from osgeo import ogr
 from ..contracts.errors import ImageError
 from ..contracts.findings import Finding
 from ..contracts.options import BuildingsOptions
+from ..evaluation.grids import Grid, metric_of
 from ..imagery.raster import quiet
 from ..runtime.progress import Progress
 from ..terrain.inputs import Surface
@@ -35,7 +36,11 @@ class FoundBuildings:
 
 
 def require_metres(surface: Surface) -> None:
-    """Raise ImageError for a DSM whose cells do not run east and south in metres."""
+    """Raise ImageError for a DSM whose cells do not run east and south in metres, as long as those on the ground."""
+    for finding in metric_of(Grid(surface.path, surface.size, surface.transform, surface.crs)).finding(
+        f"'{surface.path}'"
+    ):
+        raise ImageError(finding)
     _, right, turn, _, tilt, down = surface.transform
     straight = turn == tilt == 0 and right > 0 > down
     if not straight or abs(right - surface.cell) > 0.01 * surface.cell:

@@ -90,7 +90,7 @@ def _cell(grid: Grid) -> float:
         )
     metric = metric_of(grid)
     if metric.distortion <= MOST_DISTORTION:  # cells of 0.5 m stay such: the method's sizes are in whole cells
-        sides = (sides[0] / metric.per_unit[0], sides[1] / metric.per_unit[1])
+        sides = tuple((metric.unit_m or 1.0) * side / unit for side, unit in zip(sides, metric.per_unit))
     return float(f"{sum(sides) / 2:.9g}")
 
 

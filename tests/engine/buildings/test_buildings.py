@@ -369,9 +369,13 @@ def test_what_cannot_be_used_is_refused_in_a_sentence(tmp_path):
     degrees = written(tmp_path / "degrees.tif", [base], (2.0, 1e-5, 0, 43.0, 0, -1e-5), "EPSG:4326")
     turned = written(tmp_path / "turned.tif", [base], (WEST, 0.4, 0.3, NORTH, 0.3, -0.4))
     small = written(tmp_path / "small.tif", [base[:50]])
+    web = written(tmp_path / "web.tif", [base], (334000.0, CELL, 0.0, 5621500.0, 0.0, -CELL), "EPSG:3857")
+    feet = written(tmp_path / "feet.tif", [base], (6e6, CELL, 0.0, 2e6, 0.0, -CELL), "EPSG:2225")
     for error, text, options in (
         (ImageError, "reproject it first", {"dsm": degrees, "dtm": dtm}),
         (ImageError, "do not run east and south", {"dsm": turned, "dtm": dtm}),
+        (ImageError, "do not run east and south in metres", {"dsm": feet, "dtm": dtm}),
+        (ImageError, "up to 1.4. m in the coordinate reference system of '.*web.tif': use .* EPSG:32631", {"dsm": web}),
         (ImageError, "does not have the cells of the DSM", {"dsm": dsm, "dtm": dtm, "confidence": small}),
         (OverlapError, "do not overlap", {"dsm": dsm, "dtm": far}),
         (OverlapError, "leave ORTHO empty", {"dsm": dsm, "dtm": dtm, "ortho": far}),
