@@ -187,7 +187,7 @@ def _give_back(stage: Stage[Any], options: JsonMapping) -> None:
     from ..repm_qgis.stages import provisional
 
     with suppress(ValueError, OSError):  # options that the engine has refused, places that it cannot write
-        recover(provisional(stage.name, stage.options.from_json(options)))
+        recover(*provisional(stage.name, stage.options.from_json(options)))
 
 
 def find_python() -> str:

@@ -348,6 +348,32 @@ def products_of(stage: str) -> List[Product]:
     return [*parts, *(product for product in PRODUCTS if product.stage == stage)]
 
 
+_BESIDE_SCENES = {
+    "epmfit": ("scene.json", "tiles.gpkg", "tiles.qml", "equivalent_error.html"),
+    "refine": ("refinement.html",),
+    "reconstruct": ("reconstruction.html",),
+}
+
+
+def registered_path(scene: str) -> str:
+    """Where the registered scene of one of OTHERS is written: beside it."""
+    return f"{os.path.splitext(scene)[0]}_registered.json"
+
+
+def scene_files(stage: str, options: Options) -> Iterator[str]:
+    """The scenes that a stage writes, with what it writes beside them under names of its own; none of the pipeline."""
+    if stage == "epmfit":
+        scenes = [os.path.join(str(options.workspace), "scene.json")]
+    elif any(product.form == SCENE for product in products_of(stage)) and stage != "pipeline":
+        scenes = [str(options.output_scene), *map(registered_path, getattr(options, "others", ()))]
+    else:
+        return
+    for scene in scenes:
+        stem = os.path.splitext(scene)[0]
+        yield from (scene, f"{stem}_tie_points.gpkg", f"{stem}_tie_points.qml")
+        yield from (os.path.join(os.path.dirname(scene), name) for name in _BESIDE_SCENES.get(stage, ()))
+
+
 def product(stage: str, option: str) -> Product:
     return next(each for each in products_of(stage) if each.option == option)
 

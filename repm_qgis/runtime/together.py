@@ -7,30 +7,36 @@ link: nothing is copied), ``.dsm.tif.absent-...`` says that there was none. A ru
 names back and removes the new ones. After a kill, the caller or the next run with these products does so.
 
 All marks are made before the work and removed after it: where some are missing, the run had ended well, or not begun.
+What a stage writes into a folder that may hold other files is known later only: it joins the run before it is written,
+and ``.FOLDER.within-...`` beside the folder lists it, which is the last mark to be made and to go.
 """
 
 from __future__ import annotations
 
 import glob
+import json
 import os
+import shutil
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Callable, Dict, Iterable, Iterator, List, Sequence, Tuple
 
-from .workspace import MACHINE, kept_folders, process_exists, real_target, remove_temporary
+from .workspace import MACHINE, kept_folders, process_exists, real_target, remove_temporary, write_text
 
-_BEFORE, _ABSENT, _FOLDER = "before", "absent", "folder"
+_BEFORE, _ABSENT, _FOLDER, _WITHIN = "before", "absent", "folder", "within"
+_COPIED = ".json"  # scenes are read in the run that writes them
 _open: List["_Marks"] = []
 
 
 @contextmanager
-def together(paths: Iterable[str]) -> Iterator[None]:
+def together(paths: Iterable[str], folders: Iterable[str] = ()) -> Iterator[None]:
     """Within the block, what takes these names is provisional: an error in it undoes all.
 
-    ``paths`` are files and folders, which need not exist. Raises WorkspaceError where one of them is a device.
+    ``paths`` are files and folders, which need not exist, and ``folders`` those that others may write into, see
+    :func:`join`. Raises WorkspaceError where one of them is a device.
     """
     targets = list(dict.fromkeys(map(real_target, paths)))
-    _recover(targets)
+    _recover(targets, list(map(real_target, folders)))
     marks = _Marks(f"{MACHINE}-{os.getpid()}-{os.urandom(4).hex()}")
     _open.append(marks)
     try:
@@ -46,6 +52,16 @@ def together(paths: Iterable[str]) -> Iterator[None]:
         _open.remove(marks)
 
 
+def join(folder: str, names: Iterable[str]) -> None:
+    """Make files and folders of these names in one of the run's folders, which must exist, part of what appears
+    together; outside of a run, nothing."""
+    if _open:
+        root, named = real_target(folder), list(names)
+        _recover([root / name for name in named], [])
+        _open[-1].make([root / name for name in named])
+        _open[-1].list(root, named)
+
+
 def undo_all() -> None:
     """Undo what this process has begun to write, for one that is about to end itself."""
     for marks in list(_open):
@@ -53,9 +69,9 @@ def undo_all() -> None:
             marks.undo()
 
 
-def recover(paths: Iterable[str]) -> None:
-    """Undo what runs of this machine that were killed have left at these places."""
-    _recover([real_target(path) for path in paths])
+def recover(paths: Iterable[str], folders: Iterable[str] = ()) -> None:
+    """Undo what runs of this machine that were killed have left at these places, and in these folders."""
+    _recover([real_target(path) for path in paths], list(map(real_target, folders)))
 
 
 class _Marks:
@@ -64,6 +80,12 @@ class _Marks:
     def __init__(self, name: str) -> None:
         self.name, self.settled = name, False
         self.made: List[Tuple[Path, Path, str]] = []
+        self.lists: List[Path] = []
+
+    def list(self, folder: Path, names: Sequence[str]) -> None:
+        """Note which of the marks are those of a folder's contents."""
+        self.lists.append(self.mark(folder, _WITHIN))
+        write_text(str(self.lists[-1]), json.dumps(names))
 
     def make(self, targets: Sequence[Path]) -> None:
         for target in targets:
@@ -86,7 +108,7 @@ class _Marks:
                 try:
                     os.link(target, mark)
                 except OSError:  # a disk without hard links
-                    os.replace(target, mark)
+                    (shutil.copy2 if target.suffix == _COPIED else os.replace)(target, mark)
 
     def mark(self, target: Path, kind: str) -> Path:
         return target.with_name(f".{target.name}.{kind}-{self.name}")
@@ -117,7 +139,12 @@ class _Marks:
             if kind == _FOLDER:
                 remove_temporary(str(self.mark(target, _BEFORE)))
             with suppress(OSError):
-                os.unlink(mark)
+                if kind == _BEFORE and not os.path.lexists(target):  # it was not written, on a disk without hard links
+                    os.replace(mark, target)
+                else:
+                    os.unlink(mark)
+        for each in self.lists:
+            remove_temporary(str(each))
 
 
 def _give_back(mark: Path, target: Path) -> None:
@@ -127,16 +154,45 @@ def _give_back(mark: Path, target: Path) -> None:
             os.replace(mark, target)
 
 
-def _recover(targets: Sequence[Path]) -> None:
+def _recover(targets: Sequence[Path], folders: Sequence[Path]) -> None:
     runs: Dict[str, _Marks] = {}
+    expected: Dict[str, int] = {}
     for target in targets:
-        for kind in (_BEFORE, _ABSENT, _FOLDER):
-            start = f".{target.name}.{kind}-"
-            for mark in target.parent.glob(f"{glob.escape(start + MACHINE)}-*"):
-                name = mark.name[len(start) :]
-                process = name[len(MACHINE) + 1 :].split("-")[0]
-                if process.isdigit() and not process_exists(int(process)) and not (kind == _BEFORE and mark.is_dir()):
-                    runs.setdefault(name, _Marks(name)).made.append((target, mark, kind))
-    for marks in runs.values():
-        whole = len(marks.made) == len(targets)
+        for mark, kind, name in _marks_at(target, (_BEFORE, _ABSENT, _FOLDER)):
+            runs.setdefault(name, _Marks(name)).made.append((target, mark, kind))
+    for folder in folders:
+        for listed, _, name in _marks_at(folder, (_WITHIN,)):
+            marks = runs.setdefault(name, _Marks(name))
+            marks.lists.append(listed)
+            inner = [folder / each for each in _listed(listed)]
+            expected[name] = expected.get(name, 0) + len(inner)
+            for target in inner:
+                found = _marks_at(target, (_BEFORE, _ABSENT, _FOLDER))
+                marks.made += [(target, mark, kind) for mark, kind, own in found if own == name]
+    for name, marks in runs.items():
+        whole = len(marks.made) == len(targets) + expected.get(name, 0)
         (marks.undo if whole else marks.remove)()
+
+
+def _marks_at(target: Path, kinds: Sequence[str]) -> Iterator[Tuple[Path, str, str]]:
+    """The marks of a target that runs of this machine have left which are gone: each with its kind and the run."""
+    for kind in kinds:
+        start = f".{target.name}.{kind}-"
+        for mark in target.parent.glob(f"{glob.escape(start + MACHINE)}-*"):
+            name = mark.name[len(start) :]
+            process = name[len(MACHINE) + 1 :].split("-")[0]
+            if process.isdigit() and not process_exists(int(process)) and not (kind == _BEFORE and mark.is_dir()):
+                yield mark, kind, name
+
+
+def _listed(path: Path) -> List[str]:
+    """The names in a list, which may come from anybody: those of the folder's own contents only."""
+    with suppress(OSError, ValueError):
+        names = json.loads(path.read_text(encoding="utf-8"))
+        if isinstance(names, list):
+            return [
+                each
+                for each in names
+                if isinstance(each, str) and each == os.path.basename(each) not in ("", ".", "..")
+            ]
+    return []

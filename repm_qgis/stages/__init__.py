@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Callable, ContextManager, Iterator, Mappi
 from ..contracts.errors import MissingPackageError, OptionError
 from ..contracts.formats import companions
 from ..contracts.options import Options
-from ..contracts.products import BUILT_FOLDER, FOLDER, PIPELINE, SCENE, paths_of
+from ..contracts.products import BUILT_FOLDER, FOLDER, PIPELINE, SCENE, paths_of, scene_files
 from ..contracts.results import Result
 from ..contracts.stages import STAGES, R, Stage
 from ..runtime.imports import require_fitting_numpy, show_proj_its_data
@@ -94,7 +94,7 @@ def _run(
         require_sensible(checked, parameters)
     run: Callable[..., Result] = importlib.import_module(f"{__name__}.{name}").run
     folders, files = _written(name, checked)
-    products, workers = together(provisional(name, checked)), _workers_for(name, checked, progress)
+    products, workers = together(*provisional(name, checked)), _workers_for(name, checked, progress)
     with exclusive(name, progress, folders, files), products, workers:
         progress = Recorder(progress)
         name_voids(checked, progress)
@@ -109,16 +109,24 @@ def _written(name: str, options: Options) -> tuple[list[str], list[str]]:
     return folders, [path for product, path in made if product.option == "output"]
 
 
-def provisional(name: str, options: Options) -> Iterator[str]:
-    """The files and folders that appear together at a run's end: all products, and what belongs to them, but the scene
-    with its folders, where the next run continues."""
+def provisional(name: str, options: Options) -> tuple[list[str], list[str]]:
+    """What appears together at a run's end: files and folders, and folders of which what the run writes there does.
+    They are all products with what belongs to them, and the scene; but none of the pipeline's scenes and their folders,
+    where the next run continues."""
     scenes = [os.path.join(os.path.abspath(folder), "") for folder in _written(name, options)[0]]
+    paths, folders = list(scene_files(name, options)), []
+    if name == "refine":
+        folders = [f"{os.path.splitext(paths[0])[0]}_refined"]
     for product, path in paths_of(name, options):
-        kept = product.stage in PIPELINE[:-1] and os.path.abspath(path).startswith(tuple(scenes))
-        if product.form not in (FOLDER, SCENE) and not kept:
-            yield path
+        early = product.stage in PIPELINE[:-1]
+        kept = name == "pipeline" and early and os.path.abspath(path).startswith(tuple(scenes))
+        if product.form == FOLDER:
+            folders += [] if early else [path]
+        elif product.form != SCENE and not kept:
+            paths.append(path)
             if product.form != BUILT_FOLDER:
-                yield from companions(product, path)
+                paths += companions(product, path)
+    return list(dict.fromkeys(paths)), folders
 
 
 def _workers_for(name: str, options: Options, progress: Progress) -> ContextManager[None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import time
@@ -16,6 +17,7 @@ from ..contracts.documents import Keywords
 from ..contracts.errors import EmptyResultError, ImageError, OptionError, SceneError
 from ..contracts.file_kinds import is_textured
 from ..contracts.findings import Finding
+from ..contracts.formats import companions
 from ..contracts.options import DsmFuseOptions, ViewerOptions
 from ..contracts.paths import real_path
 from ..contracts.products import not_requested, paths_of, product, products_of
@@ -43,6 +45,7 @@ from ..reports.styles import height_limits, write_style
 from ..reports.verdict import of_surface
 from ..runtime.parallel import run_whole
 from ..runtime.progress import Part, Progress
+from ..runtime.together import join
 from ..runtime.workspace import ensure_folder, temporary_folder
 from ..scene import Scene
 from ..solids.cloud import TilePoints, clouds_of, gathered_points, write_cloud
@@ -353,6 +356,10 @@ def _derived(finished: FinishedDsm, progress: Progress) -> Dict[str, Optional[st
 
 def _each_alone(fusion: Fusion, pairs: List[Tuple[str, str]], progress: Progress) -> None:
     """The surface of each pair alone, with its confidence, on the DSM's cells: the parts that the DSM was made of."""
+    if pairs:
+        folder = str(ensure_folder(str(fusion.options.view_heights)))
+        files = [path for pair in pairs for path in paths_of("dsmfuse", _alone(fusion, pair).options)]
+        join(folder, [os.path.basename(path) for each, file in files for path in (file, *companions(each, file))])
     for index, pair in enumerate(pairs):
         alone = _alone(fusion, pair)
         try:

@@ -21,6 +21,7 @@ from ..exports.model import TileModel, tile_model
 from ..exports.ties import tie_points
 from ..imagery.enhancement import Stretch
 from ..runtime.progress import Progress
+from ..runtime.together import join
 from ..runtime.workspace import ensure_folder, whole_folder, write_text
 from ..scene import Scene, Tile
 
@@ -43,6 +44,7 @@ def run(options: ExportCamerasOptions, progress: Progress) -> ExportCamerasResul
     places = [folder / tile.id for tile in tiles]
     for place in places:
         _check_place(place, options.format)
+    join(str(folder), [tile.id for tile in tiles])
     names = sorted({view.name for model in models for view in model.views} if options.bits == "8" else ())
     stretches = {name: scene.view(name).stretch() for name in names}
     count, done = sum(len(model.views) for model in models), 0

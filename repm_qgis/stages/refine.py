@@ -25,8 +25,9 @@ from ..reports.stage_reports import refine_report
 from ..runtime.memory import refining_mib, tile_work, workers_within
 from ..runtime.parallel import run_tasks
 from ..runtime.progress import Progress, Recorder
-from ..runtime.workspace import fingerprint
-from ..scene import Scene, Tile, reusable
+from ..runtime.together import join
+from ..runtime.workspace import ensure_folder, fingerprint
+from ..scene import Scene, Tile, folder_of, reusable
 from .parameters import ENGINE, EngineParameters
 
 _BATCH = 32  # tiles of a task that writes no images: starting processes costs as much as the maps of some hundred tiles
@@ -49,6 +50,8 @@ def run(options: RefineOptions, progress: Progress, parameters: EngineParameters
     else:
         if options.write_images:
             require_space("refinement", [images_need(scene, options.output_scene)], progress)
+            images = ensure_folder(str(folder_of(Path(options.output_scene), "refined")))
+            join(str(images), [f"{tile.id}_{name}.tif" for tile in scene.tiles for name in tile.views])
         scene = _refine(replace(scene, path=Path(options.output_scene)), options, parameters, notes)
         if options.write_images:
             scene.require_same_images()

@@ -16,6 +16,7 @@ from osgeo import ogr
 from ..contracts.errors import EmptyResultError, OverlapError, SceneError
 from ..contracts.findings import Finding
 from ..contracts.options import RegisterOptions
+from ..contracts.products import registered_path
 from ..contracts.records import GroundShift, RegistrationFigures
 from ..contracts.results import RegisterResult
 from ..files.vector import copy_layer, file_and_layer, write_layer
@@ -114,12 +115,6 @@ def require_references(
     around = bounds.grown(prior_of(scene, parameters.pointing.planning, numbers).most_m)
     for path in options.reference:
         read_reference(path, scene.crs, around, cell, progress.check_cancelled)
-
-
-def registered_path(scene: str) -> str:
-    """Where the registered scene of one of OTHERS is written: beside it."""
-    place = Path(scene)
-    return str(place.with_name(f"{place.stem}_registered.json"))
 
 
 def _matched(path: str) -> Scene:
