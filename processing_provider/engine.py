@@ -187,7 +187,8 @@ def _give_back(stage: Stage[Any], options: JsonMapping) -> None:
     from ..repm_qgis.stages import provisional
 
     with suppress(ValueError, OSError):  # options that the engine has refused, places that it cannot write
-        recover(*provisional(stage.name, stage.options.from_json(options)))
+        products, folders = provisional(stage.name, stage.options.from_json(options))
+        recover(products, folders)
 
 
 def find_python() -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import List
+from typing import List, Optional
 
 from osgeo import ogr
 
@@ -16,7 +16,7 @@ from ..imagery.raster import quiet
 from ..runtime.progress import Progress
 from ..terrain.inputs import Surface
 from ..terrain.parameters import TERRAIN
-from ..terrain.steepness import on_steep_ground, slopes_of
+from ..terrain.steepness import Slopes, on_steep_ground, slopes_of
 from .building import Building, building_of
 from .cells import Rasters
 from .footprints import borders, write_cells
@@ -54,12 +54,13 @@ def find_buildings(
     options: BuildingsOptions,
     surface: Surface,
     terrain: str,
+    slopes: Optional[Slopes],
     folder: str,
     progress: Progress,
     parameters: BuildingParameters = BUILDINGS,
 ) -> FoundBuildings:
     """Find the buildings of a DSM, which :func:`require_metres` has let pass, above a terrain; ``folder`` takes what
-    exists between.
+    exists between, ``slopes`` are the DSM's where they are known.
 
     Raises ImageError and OverlapError for rasters that cannot be used, WorkspaceError.
     """
@@ -90,14 +91,15 @@ def find_buildings(
                 buildings.append(building)
         buildings = sorted(buildings, key=lambda each: -each.area)
         buildings = [replace(each, number=number) for number, each in enumerate(buildings, start=1)]
-        warnings = rasters.warnings + _hillsides(surface, buildings, progress)
+        slopes = slopes or slopes_of(surface, progress.check_cancelled)
+        warnings = rasters.warnings + _hillsides(slopes, buildings)
         return FoundBuildings(surface, buildings, rasters.shows_plants, warnings)
 
 
-def _hillsides(surface: Surface, buildings: List[Building], progress: Progress) -> List[Finding]:
+def _hillsides(slopes: Slopes, buildings: List[Building]) -> List[Finding]:
     """A warning where many of the buildings are steep ground that the terrain does not follow."""
     shapes = [ogr.CreateGeometryFromWkb(each.outline) for each in buildings]
-    count, share = on_steep_ground(slopes_of(surface, progress.check_cancelled), shapes)
+    count, share = on_steep_ground(slopes, shapes)
     if share <= TERRAIN.steepness.most_hillside:
         return []
     text = (

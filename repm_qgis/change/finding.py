@@ -227,7 +227,8 @@ class _Work:
                 numbers = np.zeros((around.height, around.width), np.int64)
                 numbers[inner.inside(around)] = outlines.numbers(inner)
                 bands = _CHANGE, _CORE_ERROR, _SUPPORT, _HIDDEN
-                sums.add(numbers, *(raster.read(between, own, band) for band in bands))
+                change, core_error, support, hidden = (raster.read(between, own, band) for band in bands)
+                sums.add(numbers, change, core_error, support, hidden=hidden)
             plan = self._parameters.detection
             least_m2 = plan.support_share * self._options.min_area
             changes = sums.changes(outlines, model, correlation, cell_m2, offset_m, least_m2, plan)

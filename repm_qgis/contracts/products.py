@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Dict, Iterator, List, Tuple
+from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Tuple
 
 if TYPE_CHECKING:
     from .options import Options
@@ -360,8 +360,9 @@ def registered_path(scene: str) -> str:
     return f"{os.path.splitext(scene)[0]}_registered.json"
 
 
-def scene_files(stage: str, options: Options) -> Iterator[str]:
-    """The scenes that a stage writes, with what it writes beside them under names of its own; none of the pipeline."""
+def scene_files(stage: str, options: Any) -> Iterator[str]:
+    """The scenes that a stage with these options writes, with what it writes beside them under names of its own; none
+    of the pipeline."""
     if stage == "epmfit":
         scenes = [os.path.join(str(options.workspace), "scene.json")]
     elif any(product.form == SCENE for product in products_of(stage)) and stage != "pipeline":

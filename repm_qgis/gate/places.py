@@ -60,7 +60,7 @@ def known_m2(path: str) -> float:
         chosen = np.unique(np.linspace(0, rows - 1, min(rows, ROWS)).astype(int))
         known = sum(int(np.isfinite(read_heights(dataset, Window(0, int(row), columns, 1))).sum()) for row in chosen)
         width, height = cell_metres(Grid.of(dataset))
-    return known * rows / len(chosen) * abs(width * height)
+    return float(known * rows / len(chosen) * abs(width * height))
 
 
 def partial_finding(share: float, what: str, parameters: GateParameters = GATE) -> List[Finding]:

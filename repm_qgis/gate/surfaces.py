@@ -21,6 +21,11 @@ class Entry:
     confidence_option: str = ""
 
 
+def entries_of(dsms: Sequence[str], confidences: Sequence[str]) -> List[Entry]:
+    """The DSMs of DSMS with the rasters of CONFIDENCES in that order, which may be none at all."""
+    return [Entry("DSMS", path, own, "CONFIDENCES") for path, own in zip(dsms, confidences or [""] * len(dsms))]
+
+
 def surface_findings(entries: Sequence[Entry], why: str) -> List[Finding]:
     """What is to be known of DSMs that are used together: copies are refused, or ``why`` ("it would count as a date
     of its own"), and confidence rasters must be theirs.

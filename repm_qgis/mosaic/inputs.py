@@ -25,7 +25,7 @@ from ..geometry.vertical import DEVIATION_TAG, ELLIPSOID, TAG, HeightDatum
 from ..imagery.confidence import confidence_bands
 from ..imagery.heights import to_metres
 from ..imagery.raster import opened
-from ..runtime.progress import Progress
+from ..runtime.progress import Progress, warn_all
 from .parameters import MOSAIC
 
 
@@ -93,8 +93,7 @@ def layout_of(options: MosaicOptions, surfaces: Sequence[Surface], progress: Pro
     datum = _common_datum([surface.name for surface in surfaces], found, progress)
     crs, cell, corner = _frame(options, found[0].grid)
     metric = _metric(found[0].grid, crs)
-    for finding in metric.finding(f"the mosaic, {crs.name}"):
-        progress.warn(finding)
+    warn_all(progress, metric.finding(f"the mosaic, {crs.name}"))
     side = cell * min(metric.per_unit)
     ratio = max(_ratio(each.grid, side) for each in found)  # by the finest of all
     if ratio < MOSAIC.finest_cell:

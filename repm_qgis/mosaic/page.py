@@ -25,12 +25,14 @@ def mosaic_page(
     overlaps: Sequence[Overlap],
     *,
     offsets: Offsets,
+    left: Sequence[verdict.Difference],
     cells: Dict[int, int],
     seam: Optional[float],
 ) -> Report:
-    """The page of a mosaic; ``cells`` counts those of each DSM by its number, ``seam`` is the median step, m."""
+    """The page of a mosaic; ``left`` are the differences after the offsets, ``cells`` counts those of each DSM by its
+    number, ``seam`` is the median step, m."""
     page = Report("Mosaic of DSMs", f"{options.output}, of {counted(len(layout.dsms), 'DSM')}")
-    spread = float(np.sqrt(np.mean([each.median**2 for each in left_differences(overlaps, offsets)])))
+    spread = float(np.sqrt(np.mean([each.median**2 for each in left])))
     good = f"After the offsets, the median differences of the DSMs are {spread:.3f} m (root mean square)."
     page.verdict(good)
     _surface(page, options, layout, cells, seam)

@@ -22,7 +22,7 @@ from ..contracts.errors import OutOfMemoryError, RepmError, WorkerError
 from ..contracts.findings import Finding
 from .containers import memory_kills
 from .process_limits import THREAD_VARIABLES, one_thread_for_sums, prepare_process
-from .progress import Progress, Recorder, Silent
+from .progress import Progress, Recorder, Silent, warn_all
 from .shortage import MEMORY_REMEDY, shortage_as_error
 from .translation import reader, written_in
 from .windows import cancel_transfers, exit_code
@@ -102,8 +102,7 @@ def run_whole(function: Callable[[T, Progress], R], task: T, progress: Progress,
     ((result, notes, findings),) = run_tasks(_noted, [work], 1, progress, lambda _: description)
     for text in notes:
         progress.info(text)
-    for finding in findings:
-        progress.warn(finding)
+    warn_all(progress, findings)
     return result
 
 

@@ -28,6 +28,12 @@ class Progress(Protocol):
         ...
 
 
+def warn_all(progress: Progress, findings: Iterable[Finding]) -> None:
+    """Warn of each."""
+    for finding in findings:
+        progress.warn(finding)
+
+
 def counted(count: int, noun: str) -> str:
     """A number with its noun: "1 tile", "3 tiles"."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
@@ -95,11 +101,6 @@ class Recorder(Part):
         if finding not in self.findings:
             self.findings.append(finding)
             super().warn(finding)
-
-    def warn_all(self, findings: Iterable[Finding]) -> None:
-        """Warn of each."""
-        for finding in findings:
-            self.warn(finding)
 
 
 class JsonLines:

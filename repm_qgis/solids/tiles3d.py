@@ -27,7 +27,7 @@ from ..geometry.vertical import TAG
 from ..imagery.heights import read_heights
 from ..imagery.raster import opened
 from ..reports.pictures import hillshade, jpeg_bytes
-from ..runtime.progress import Progress, Silent
+from ..runtime.progress import Progress, Silent, warn_all
 from ..runtime.workspace import whole_folder
 from .gltf import small_glb
 from .painting import Paint, opened_paint
@@ -84,8 +84,7 @@ def write_tiles3d(
         dataset = stack.enter_context(opened(dsm))
         paint = stack.enter_context(opened_paint(ortho, parameters.painting)) if ortho else None
         if ortho and paint is not None:
-            for finding in picture_findings(dsm, ortho, share_under(Grid.of(paint.dataset), Grid.of(dataset))):
-                progress.warn(finding)
+            warn_all(progress, picture_findings(dsm, ortho, share_under(Grid.of(paint.dataset), Grid.of(dataset))))
         whole = stack.enter_context(whole_folder(folder))
         (whole / "tiles").mkdir()
         tree = _Tree(dataset, whole, paint, progress, parameters)

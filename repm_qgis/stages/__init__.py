@@ -94,8 +94,9 @@ def _run(
         require_sensible(checked, parameters)
     run: Callable[..., Result] = importlib.import_module(f"{__name__}.{name}").run
     folders, files = _written(name, checked)
-    products, workers = together(*provisional(name, checked)), _workers_for(name, checked, progress)
-    with exclusive(name, progress, folders, files), products, workers:
+    products, shared = provisional(name, checked)
+    workers = _workers_for(name, checked, progress)
+    with exclusive(name, progress, folders, files), together(products, shared), workers:
         progress = Recorder(progress)
         name_voids(checked, progress)
         return run(checked, progress) if parameters is None else run(checked, progress, parameters)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from dataclasses import replace
-from typing import Sequence, Tuple
+from typing import Optional, Sequence, Tuple
 
 from ..buildings.cityjson import write_cityjson
 from ..buildings.finding import FoundBuildings, find_buildings, require_metres
@@ -22,14 +22,15 @@ from ..names import surface_title
 from ..reports.styles import write_style
 from ..reports.verdict import of_buildings
 from ..runtime.parallel import kept_workers, run_whole
-from ..runtime.progress import Part, Progress, Recorder, counted
+from ..runtime.progress import Part, Progress, Recorder, counted, warn_all
 from ..runtime.workspace import temporary_folder
 from ..terrain.inputs import Surface, surface_of
+from ..terrain.steepness import Slopes
 from . import dtm
 from .parameters import ENGINE, EngineParameters
 
 _TERRAIN_SHARE = 0.5  # of the progress, where the terrain is made first
-_Task = Tuple[BuildingsOptions, Surface, str, str, Sequence[Finding], EngineParameters]
+_Task = Tuple[BuildingsOptions, Surface, str, Optional[Slopes], str, Sequence[Finding], EngineParameters]
 
 
 def run(options: BuildingsOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> BuildingsResult:
@@ -41,22 +42,22 @@ def run(options: BuildingsOptions, progress: Progress, parameters: EngineParamet
     start, progress = time.monotonic(), Recorder(progress)
     surface = surface_of(options.dsm, options.confidence)
     require_metres(surface)
-    progress.warn_all(surface.findings)
+    warn_all(progress, surface.findings)
     if options.dtm:
-        progress.warn_all(terrain_findings(options.dsm, options.dtm, surface.usual_error))
+        warn_all(progress, terrain_findings(options.dsm, options.dtm, surface.usual_error))
     with kept_workers(), temporary_folder(options.output) as folder:
-        terrain, share = options.dtm, 0.0
+        terrain, share, slopes = options.dtm, 0.0, None
         if not terrain:
             terrain, share = f"{folder}/dtm.tif", _TERRAIN_SHARE
-            made = DtmOptions(
+            ground = DtmOptions(
                 dsm=options.dsm,
                 confidence=options.confidence,
                 output=terrain,
                 workers=options.workers,
                 memory=options.memory,
             )
-            dtm.run(made, Part(progress, 0.0, share), parameters)
-        task = options, surface, str(terrain), folder, progress.findings, parameters
+            _, slopes = dtm.made(ground, Part(progress, 0.0, share), parameters)
+        task = options, surface, str(terrain), slopes, folder, progress.findings, parameters
         result: BuildingsResult = run_whole(_found, task, Part(progress, share, 1.0), "finding buildings")
         progress.step(1.0, "Buildings found")
     return replace(result, seconds=round(time.monotonic() - start, 3))
@@ -64,11 +65,11 @@ def run(options: BuildingsOptions, progress: Progress, parameters: EngineParamet
 
 def _found(task: _Task, progress: Progress) -> BuildingsResult:
     """The result, without its seconds."""
-    options, surface, terrain, folder, before, parameters = task
+    options, surface, terrain, slopes, folder, before, parameters = task
     run = Recorder(progress, before)
-    found = find_buildings(options, surface, terrain, folder, Part(run, 0.0, 0.9), parameters.buildings)
+    found = find_buildings(options, surface, terrain, slopes, folder, Part(run, 0.0, 0.9), parameters.buildings)
     measured = [each.heights.measured for each in found.buildings]
-    run.warn_all([*found.warnings, *of_buildings(measured, options.min_height, options.min_area)])
+    warn_all(run, [*found.warnings, *of_buildings(measured, options.min_height, options.min_area)])
     if options.ortho and not found.shows_plants:
         progress.info(
             f"'{options.ortho}' names no near infrared band: only their heights distinguish trees from roofs."

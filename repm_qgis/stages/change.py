@@ -14,7 +14,7 @@ from ..names import dates_title
 from ..reports import verdict
 from ..reports.styles import write_style
 from ..runtime.parallel import run_whole
-from ..runtime.progress import Part, Progress, Recorder, counted
+from ..runtime.progress import Part, Progress, Recorder, counted, warn_all
 
 
 def run(options: ChangeOptions, progress: Progress) -> ChangeResult:
@@ -32,12 +32,12 @@ def _changed(options: ChangeOptions, progress: Progress) -> ChangeResult:
         Entry("BEFORE", options.before, options.before_confidence or "", "BEFORE_CONFIDENCE"),
         Entry("AFTER", options.after, options.after_confidence or "", "AFTER_CONFIDENCE"),
     ]
-    run.warn_all(surface_findings(entries, "nothing would have changed"))
-    run.warn_all(order_findings(options.before, options.after))
+    warn_all(run, surface_findings(entries, "nothing would have changed"))
+    warn_all(run, order_findings(options.before, options.after))
     found = find_changes(options, Part(run, 0.0, 0.9))
     moved = found.alignment
-    run.warn_all(
-        [*found.warnings, *verdict.of_change(found.changed_share, (moved.dx, moved.dy, moved.dz), found.level_m)]
+    warn_all(
+        run, [*found.warnings, *verdict.of_change(found.changed_share, (moved.dx, moved.dy, moved.dz), found.level_m)]
     )
     for product, path in paths_of("change", options):
         if product.style:  # both rasters have the same colours; changes that are not significant are pale

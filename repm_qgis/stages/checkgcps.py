@@ -22,7 +22,7 @@ from ..pointing.ground_control import Gcp, read_gcps
 from ..reports import verdict
 from ..reports.gcp_page import gcp_page
 from ..reports.styles import write_style
-from ..runtime.progress import Progress, Recorder, counted
+from ..runtime.progress import Progress, Recorder, counted, warn_all
 from ..scene import Scene
 from .errormap import error_at
 
@@ -52,7 +52,7 @@ def run(options: CheckGcpsOptions, progress: Progress) -> CheckGcpsResult:
                 f"None of the {points} of '{options.gcps}' lies {place}: choose points of the same area."
             )
     run = Recorder(progress)
-    run.warn_all([*found.warnings, *verdict.of_points(found)])
+    warn_all(run, [*found.warnings, *verdict.of_points(found)])
     if options.output:
         _write_points(scene, found, options.output)
     if options.report:

@@ -23,7 +23,7 @@ from ..names import surface_title
 from ..reports.comparison_page import comparison_findings, comparison_page
 from ..reports.styles import write_style
 from ..runtime.parallel import run_whole
-from ..runtime.progress import Part, Progress, Recorder
+from ..runtime.progress import Part, Progress, Recorder, warn_all
 
 
 def run(options: CompareDsmOptions, progress: Progress) -> CompareDsmResult:
@@ -39,12 +39,12 @@ def run(options: CompareDsmOptions, progress: Progress) -> CompareDsmResult:
 def _all_compared(options: CompareDsmOptions, progress: Progress) -> CompareDsmResult:
     paths, run = [options.dsm, *options.others], Recorder(progress)
     entries = [Entry("DSM", options.dsm), *(Entry("OTHERS", path) for path in options.others)]
-    run.warn_all(
-        surface_findings([Entry("REFERENCE", options.reference), *entries], "it would be compared with itself")
+    warn_all(
+        run, surface_findings([Entry("REFERENCE", options.reference), *entries], "it would be compared with itself")
     )
     ends = [0.9 * i / len(paths) for i in range(len(paths) + 1)]
     found = [_compared(options, path, Part(progress, low, high)) for path, low, high in zip(paths, ends, ends[1:])]
-    run.warn_all([*(finding for one in found for finding in one.warnings), *comparison_findings(found)])
+    warn_all(run, [*(finding for one in found for finding in one.warnings), *comparison_findings(found)])
     if options.error:
         write_style("dsm_error", options.error)
     if options.report:

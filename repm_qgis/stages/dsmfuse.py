@@ -44,7 +44,7 @@ from ..planning.disk_space import fusion_needs, require_space
 from ..reports.styles import height_limits, write_style
 from ..reports.verdict import of_surface
 from ..runtime.parallel import run_whole
-from ..runtime.progress import Part, Progress
+from ..runtime.progress import Part, Progress, warn_all
 from ..runtime.together import join
 from ..runtime.workspace import ensure_folder, temporary_folder
 from ..scene import Scene
@@ -144,8 +144,7 @@ def _laid_out(scene: Scene, options: DsmFuseOptions, progress: Progress, paramet
         scene.require_images()
     crs = options.crs or scene.crs
     projected_crs_at(crs, scene.frame.lon, scene.frame.lat)
-    for finding in metric_at(crs, scene.frame.lon, scene.frame.lat).finding(crs):
-        progress.warn(finding)
+    warn_all(progress, metric_at(crs, scene.frame.lon, scene.frame.lat).finding(crs))
     datum = HeightDatum.of(options.vertical_datum)
     datum.require(scene.frame.lon, scene.frame.lat)
     if options.ept:
@@ -407,5 +406,4 @@ def _log(options: DsmFuseOptions, parameters: EngineParameters, facts: FusionFac
     if facts.interpolated and not options.confidence:
         cells = f"{facts.interpolated} cells of '{options.output}' are interpolated, not measured"
         progress.info(f"{cells}: ask for CONFIDENCE to see which (band 4).")
-    for finding in of_surface(facts):
-        progress.warn(finding)
+    warn_all(progress, of_surface(facts))

@@ -19,12 +19,12 @@ from ..reports.styles import write_style
 from ..reports.verdict import of_terrain
 from ..runtime.memory import Work, workers_within
 from ..runtime.parallel import kept_workers, run_tasks, run_whole
-from ..runtime.progress import Part, Progress, Recorder
+from ..runtime.progress import Part, Progress, Recorder, warn_all
 from ..runtime.workspace import temporary_folder
 from ..terrain import blocks
 from ..terrain.inputs import Surface, surface_of
 from ..terrain.page import terrain_page
-from ..terrain.steepness import Cut, cut_of, slopes_of
+from ..terrain.steepness import Cut, Slopes, cut_of, slopes_of
 from ..terrain.whole import coarse_of
 from . import dsmfuse
 from .parameters import ENGINE, EngineParameters
@@ -42,6 +42,14 @@ _RASTERS = {  # option: the name of the band, and its unit
 def run(options: DtmOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> DtmResult:
     """Find the ground, and write the terrain and the objects on it; gives the products' paths and shares of cells.
 
+    Raises what :func:`made` raises.
+    """
+    return made(options, progress, parameters)[0]
+
+
+def made(options: DtmOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> Tuple[DtmResult, Slopes]:
+    """The result of a run, and the slopes of the DSM.
+
     Raises ImageError for a DSM or a confidence raster that cannot be used, SceneError for such a scene,
     EmptyResultError where no ground is left, WorkspaceError, OutOfMemoryError and ClusterError.
     """
@@ -50,20 +58,20 @@ def run(options: DtmOptions, progress: Progress, parameters: EngineParameters = 
         if options.scene:
             dsm, confidence = f"{folder}/dsm.tif", f"{folder}/confidence.tif"
             share = _FUSION_SHARE
-            made = DsmFuseOptions(
+            fuse = DsmFuseOptions(
                 scene=options.scene,
                 output=dsm,
                 confidence=confidence,
                 workers=options.workers,
                 memory=options.memory,
             )
-            dsmfuse.run(made, Part(progress, 0.0, share), parameters)
+            dsmfuse.run(fuse, Part(progress, 0.0, share), parameters)
             surface = surface_of(dsm, confidence)
         else:
             share, surface = 0.0, surface_of(str(options.dsm), options.confidence)
-        progress.warn_all(surface.findings)
-        result = _make(options, surface, folder, progress, share, parameters)
-    return replace(result, seconds=round(time.monotonic() - start, 3))
+        warn_all(progress, surface.findings)
+        result, slopes = _make(options, surface, folder, progress, share, parameters)
+    return replace(result, seconds=round(time.monotonic() - start, 3)), slopes
 
 
 def _make(
@@ -73,8 +81,8 @@ def _make(
     progress: Recorder,
     share: float,
     parameters: EngineParameters,
-) -> DtmResult:
-    """The result, without its seconds."""
+) -> Tuple[DtmResult, Slopes]:
+    """The result, without its seconds, and the slopes."""
     search = blocks.Search(surface, options.largest, options.slope / 100.0, parameters.terrain)
     columns, rows = surface.size
     progress.info(
@@ -107,9 +115,7 @@ def _make(
     ]
     made = step(0.7, 0.9, "making the terrain", blocks.make_block, last)
     paths = {name: getattr(options, name) for name in _RASTERS if getattr(options, name)}
-    cut: Optional[Cut] = run_whole(
-        _write, (paths, surface, made, search), Part(progress, 0.9, 0.97), "writing the terrain"
-    )
+    slopes, cut = run_whole(_write, (paths, surface, made, search), Part(progress, 0.9, 0.97), "writing the terrain")
     if cut is not None:
         progress.warn(cut.finding(search.slope))
     known, objects, terrain = (sum(getattr(block, name) for block in made) for name in ("known", "objects", "terrain"))
@@ -127,18 +133,18 @@ def _make(
         f"{result.objects_percent:.1f} % of the DSM's heights belong to objects; {result.valid_percent:.1f} % of "
         "the cells have a terrain."
     )
-    progress.warn_all(of_terrain(result.objects_percent))
+    warn_all(progress, of_terrain(result.objects_percent))
     if options.report:
         terrain_page(options, surface, result).of(surface_title(surface.path)).write(options.report, progress)
     progress.step(1.0, "Terrain made")
-    return result
+    return result, slopes
 
 
 def _write(
     task: Tuple[Dict[str, str], Surface, List[blocks.Block], blocks.Search], progress: Progress
-) -> Optional[Cut]:
-    """The rasters with their styles; all of them get their names when the last one is complete. Gives what the terrain
-    lacks on steep ground."""
+) -> Tuple[Slopes, Optional[Cut]]:
+    """The rasters with their styles; all of them get their names when the last one is complete. Gives the DSM's slopes,
+    and what the terrain lacks on steep ground."""
     paths, surface, made, search = task
     shape = (surface.size[1], surface.size[0])
     with ExitStack() as stack:
@@ -168,4 +174,5 @@ def _write(
     for name, path in paths.items():
         write_style(product("dtm", name).style, path)
     check, choices = progress.check_cancelled, search.parameters.steepness
-    return cut_of(slopes_of(surface, check, choices), surface, paths["output"], search.slope, check, choices)
+    slopes = slopes_of(surface, check, choices)
+    return slopes, cut_of(slopes, surface, paths["output"], search.slope, check, choices)

@@ -39,7 +39,7 @@ from ..reports.stage_reports import fit_report
 from ..rpc.readers import rpc_sidecars
 from ..runtime.memory import planned_mib
 from ..runtime.parallel import task_mib
-from ..runtime.progress import Part, Progress, Recorder, counted
+from ..runtime.progress import Part, Progress, Recorder, counted, warn_all
 from ..runtime.workspace import ensure_folder, file_identity, fingerprint, with_copy
 from ..scene import (
     Scene,
@@ -149,8 +149,7 @@ def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, prog
     views = _coarser_first(views)
     crs = _crs(options, views)
     lon, lat = middle_of(views)
-    for finding in metric_at(crs, lon, lat).finding(crs):
-        progress.warn(finding)
+    warn_all(progress, metric_at(crs, lon, lat).finding(crs))
     search = common_heights(views)
     area = _area(views, crs, search, options, parameters.tiles)
     views, search = with_planes(

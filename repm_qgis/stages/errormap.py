@@ -21,7 +21,7 @@ from ..names import scene_title
 from ..reports.stage_reports import errormap_report
 from ..reports.styles import write_style
 from ..reports.verdict import of_error_map
-from ..runtime.progress import Progress, Recorder
+from ..runtime.progress import Progress, Recorder, warn_all
 from ..scene import Scene, Tile, View
 
 _BANDS = ("magnitude (px)", "column (px)", "row (px)", "worst over the altitudes (px)")
@@ -68,7 +68,7 @@ def run(options: ErrorMapOptions, progress: Progress) -> ErrorMapResult:
     rmse = float(np.sqrt(squares / count))
     write_style("error", options.output)
     run = Recorder(progress)
-    run.warn_all(of_error_map(rmse, bool(scene.refinement)))
+    warn_all(run, of_error_map(rmse, bool(scene.refinement)))
     if options.report:
         report = errormap_report(scene, view, options.output, rmse, worst, altitude)
         report.of(scene_title(scene, options.scene)).write(options.report, run)

@@ -20,7 +20,7 @@ from ..reports.rpc_page import ExportedRpc, rpc_page, within_px
 from ..reports.verdict import of_rpcs
 from ..rpc.correction import corrected, of_projected
 from ..rpc.writers import rpb_text, rpc_tags, rpc_txt
-from ..runtime.progress import Progress, Recorder, counted
+from ..runtime.progress import Progress, Recorder, counted, warn_all
 from ..runtime.workspace import require_no_strangers, whole_folder, write_text
 from ..scene import Scene, View
 
@@ -37,7 +37,7 @@ def run(options: ExportRpcOptions, progress: Progress) -> ExportRpcResult:
     _require_place(Path(options.rpc_folder))
     exported = [_exported(scene, view) for view in scene.views]
     run = Recorder(progress)
-    run.warn_all(of_rpcs({each.view.name: each.corrected for each in exported}))
+    warn_all(run, of_rpcs({each.view.name: each.corrected for each in exported}))
     with whole_folder(options.rpc_folder) as folder:
         for index, each in enumerate(exported):
             progress.check_cancelled()

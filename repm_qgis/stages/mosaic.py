@@ -21,7 +21,7 @@ from ..contracts.options import DsmFuseOptions, MosaicOptions
 from ..contracts.paths import real_path
 from ..contracts.products import kept_folder
 from ..contracts.results import DsmOffset, MosaicResult
-from ..gate.surfaces import Entry, surface_findings
+from ..gate.surfaces import Entry, entries_of, surface_findings
 from ..geometry.vertical import PLACED, PLACED_TAG
 from ..imagery.raster import opened, raster_identity
 from ..mosaic.blocks import (
@@ -47,7 +47,7 @@ from ..planning.disk_space import mosaic_needs, require_space
 from ..reports import verdict
 from ..runtime.memory import Work, workers_within
 from ..runtime.parallel import kept_workers, run_tasks
-from ..runtime.progress import Part, Progress, Recorder, Silent, counted
+from ..runtime.progress import Part, Progress, Recorder, Silent, counted, warn_all
 from ..runtime.workspace import ensure_folder, file_identity, fingerprint
 from . import dsmfuse
 from .kept import drop_others, kept_until_done
@@ -75,12 +75,11 @@ def run(options: MosaicOptions, progress: Progress, parameters: EngineParameters
 
 def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: EngineParameters) -> MosaicResult:
     start, progress = time.monotonic(), Recorder(progress)
-    confidences = options.confidences or ("",) * len(options.dsms)
-    entries = [Entry("DSMS", path, own, "CONFIDENCES") for path, own in zip(options.dsms, confidences)]
-    progress.warn_all(surface_findings(entries, "it would count twice"))
+    entries = entries_of(options.dsms, options.confidences)
+    warn_all(progress, surface_findings(entries, "it would count twice"))
     count = len(options.dsms) + len(options.scenes)
     fused = _FUSION_SHARE * len(options.scenes) / count
-    surfaces = _surfaces(options, folder, Part(progress, 0.0, fused), parameters)
+    surfaces = _surfaces(options, entries, folder, Part(progress, 0.0, fused), parameters)
     whole, progress_of = progress, Part(progress, fused, 1.0)
     layout = layout_of(options, surfaces, progress)
     (rows, columns), cell = layout.grid.shape, layout.grid.cell
@@ -117,9 +116,10 @@ def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: En
     seam = _median(blocks)
     if seam is not None:
         progress.info(f"Along the seams, two DSMs differ by {seam:.3f} m (median) before their heights are blended.")
-    whole.warn_all(verdict.of_mosaic(left_differences(overlaps, offsets)))
+    left = left_differences(overlaps, offsets)
+    warn_all(whole, verdict.of_mosaic(left))
     if options.report:
-        page = mosaic_page(options, layout, overlaps, offsets=offsets, cells=cells, seam=seam)
+        page = mosaic_page(options, layout, overlaps, offsets=offsets, left=left, cells=cells, seam=seam)
         page.of(mosaic_name(options.output, (*options.dsms, *options.scenes))).write(options.report, whole)
     progress.step(1.0, "Mosaic made")
     return MosaicResult(
@@ -150,15 +150,16 @@ def _key(options: MosaicOptions, parameters: EngineParameters) -> str:
 # The DSMs, and those of scenes ------------------------------------------------------------------------------------
 
 
-def _surfaces(options: MosaicOptions, folder: str, progress: Progress, parameters: EngineParameters) -> List[Surface]:
+def _surfaces(
+    options: MosaicOptions, entries: Sequence[Entry], folder: str, progress: Progress, parameters: EngineParameters
+) -> List[Surface]:
     """The DSMs in their order, and then the scenes, each of which is fused."""
     named = {real_path(path) for path in options.fixed}
 
     def fixed(path: str) -> str:
         return "named in FIXED" if real_path(path) in named else ""
 
-    confidences = options.confidences or ("",) * len(options.dsms)
-    found = [Surface(path, path, error, fixed(path) or _stated(path)) for path, error in zip(options.dsms, confidences)]
+    found = [Surface(each.path, each.path, each.confidence, fixed(each.path) or _stated(each.path)) for each in entries]
     placed = [_placed(path, progress) for path in options.scenes]  # scenes that cannot be fused are refused at once
     layout = layout_of(options, found, Silent()) if found and options.scenes else None
     for number, path in enumerate(options.scenes):

@@ -40,7 +40,7 @@ from ..reports.stage_reports import reconstruct_report
 from ..reports.styles import write_style
 from ..reports.verdict import of_run
 from ..runtime.parallel import run_tasks
-from ..runtime.progress import Part, Progress, Recorder, counted
+from ..runtime.progress import Part, Progress, Recorder, counted, warn_all
 from ..runtime.workspace import ensure_folder, fingerprint, with_copy
 from ..scene import Scene, Tile, View, folder_of, reusable
 from ..stereo.height_maps import is_whole
@@ -79,7 +79,7 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         maps = counted(sum(len(t.heights) for t in done.tiles), "height map")
         progress.info(f"Reused {maps} and the relative pointing in '{options.output_scene}'.")
     else:
-        notes.warn_all(elsewhere)
+        warn_all(notes, elsewhere)
         pairs = pairs_of(scene, options, parameters)
         require_space("matching", [heights_need(scene, matched_pairs(pairs, backends[0]), str(folder))], progress)
         ties = f"{folder_of(place, 'tie_points')}.gpkg"
@@ -94,7 +94,7 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         part = Part(notes, 0.98, 1.0)
         scene = with_agreeing_maps(scene, options.workers, options.memory, part, parameters.fusion, matching)
         scene.require_same_images()  # at the end, too: one may have been replaced during the work
-        notes.warn_all(of_run(scene))
+        warn_all(notes, of_run(scene))
         seconds, changes = time.monotonic() - start, parameters.changes()
         done = scene.recorded("reconstruct", key, options.to_json(), seconds, notes.findings, changes)
         done.save(options.output_scene)
@@ -185,8 +185,7 @@ def _pointed(
     off = heights_off(gcps, scene.views, tied, found.figures, parameters.pointing)
     if off is not None:
         progress.warn(off)
-    for finding in advice(scene, scene.pairs, found.figures, parameters.pointing.planning):
-        progress.warn(finding)
+    warn_all(progress, advice(scene, scene.pairs, found.figures, parameters.pointing.planning))
     return _narrowed(scene, lambda bounds: found.altitudes(bounds, parameters.pointing), parameters.altitudes)
 
 

@@ -42,7 +42,7 @@ from ..registration.surfaces import SupportMeans
 from ..reports.registration_section import registration_page
 from ..reports.styles import write_style
 from ..reports.verdict import of_registration
-from ..runtime.progress import Part, Progress, Recorder
+from ..runtime.progress import Part, Progress, Recorder, warn_all
 from ..runtime.workspace import ensure_folder, file_identity, fingerprint
 from ..scene import Scene, folder_of, reusable
 from .dsmfuse import reconstructed
@@ -170,8 +170,7 @@ def _registered(
     if not any(work.laid for work in works) and options.reference:
         names = ", ".join(f"'{path}'" for path in options.reference)
         raise OverlapError(f"No reference ({names}) covers the scene: choose one that does.")
-    for finding in contradictions(observations, parameters.registration):
-        progress.warn(finding)
+    warn_all(progress, contradictions(observations, parameters.registration))
     observations += [Observation.of_shift("an overlap", shift, i, j) for i, j, shift in between]
     centres = [work.surface.grid.middle for work in works]
     placed = place_scenes(centres, [work.prior for work in works], observations)
@@ -354,8 +353,7 @@ def _say(figures: RegistrationFigures, progress: Progress) -> None:
         f"The scene was moved by ({east:+.2f}, {north:+.2f}, {up:+.2f}) m to the east, to the north and up; the "
         f"standard deviations are {deviations[0]:.2f}, {deviations[1]:.2f} and {deviations[2]:.2f} m."
     )
-    for finding in of_registration(figures):
-        progress.warn(finding)
+    warn_all(progress, of_registration(figures))
 
 
 def _log(laid: Laid, scene: Scene, prior: Prior, numbers: RegistrationParameters, progress: Progress) -> None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from ..contracts.options import SeriesOptions
 from ..contracts.products import paths_of
 from ..contracts.results import SeriesResult
-from ..gate.surfaces import Entry, surface_findings
+from ..gate.surfaces import entries_of, surface_findings
 from ..gate.times import time_findings
 from ..names import dates_title
 from ..reports.styles import write_style
 from ..runtime.parallel import run_whole
-from ..runtime.progress import Part, Progress, Recorder, counted
+from ..runtime.progress import Part, Progress, Recorder, counted, warn_all
 from ..series.finding import FoundSeries, find_series
 from ..series.layers import write_layers
 from ..series.page import series_page
@@ -27,12 +27,12 @@ def run(options: SeriesOptions, progress: Progress) -> SeriesResult:
 
 def _followed(options: SeriesOptions, progress: Progress) -> SeriesResult:
     run = Recorder(progress)
-    confidences = options.confidences or [""] * len(options.dsms)
-    entries = [Entry("DSMS", path, own, "CONFIDENCES") for path, own in zip(options.dsms, confidences)]
-    run.warn_all(surface_findings(entries, "it would count as a date of its own"))
+    entries = entries_of(options.dsms, options.confidences)
+    warn_all(run, surface_findings(entries, "it would count as a date of its own"))
     found = find_series(options, Part(run, 0.0, 0.92))
-    run.warn_all(
-        [*found.warnings, *(time_findings({each.path: each.taken for each in found.series}) if options.dates else [])]
+    warn_all(
+        run,
+        [*found.warnings, *(time_findings({each.path: each.taken for each in found.series}) if options.dates else [])],
     )
     for product, path in paths_of("series", options):
         if product.style:

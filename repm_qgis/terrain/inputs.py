@@ -90,7 +90,8 @@ def _cell(grid: Grid) -> float:
         )
     metric = metric_of(grid)
     if metric.distortion <= MOST_DISTORTION:  # cells of 0.5 m stay such: the method's sizes are in whole cells
-        sides = tuple((metric.unit_m or 1.0) * side / unit for side, unit in zip(sides, metric.per_unit))
+        own = [(metric.unit_m or 1.0) * side / unit for side, unit in zip(sides, metric.per_unit)]
+        sides = own[0], own[1]
     return float(f"{sum(sides) / 2:.9g}")
 
 

@@ -32,7 +32,7 @@ from ..names import surface_title
 from ..reports.pictures import RAMPS, jpeg_bytes, percentile_range
 from ..reports.styles import value_range
 from ..reports.templates import RESOURCES, Drawing, page
-from ..runtime.progress import Progress
+from ..runtime.progress import Progress, warn_all
 from ..runtime.translation import reader
 from ..runtime.workspace import write_text
 from .parameters import VIEWER, ViewerParameters
@@ -168,8 +168,7 @@ def _draped(
         bands = [values_of(band) for band in _bands(dataset)]
         known = np.isfinite(heights)
         share = np.isfinite(bands[0])[known].mean()
-        for finding in picture_findings(cells.path, dataset.GetDescription(), float(share)):
-            progress.warn(finding)
+        warn_all(progress, picture_findings(cells.path, dataset.GetDescription(), float(share)))
         picture = np.stack([_grey(values, byte) for values in bands], axis=-1)
         data = base64.b64encode(jpeg_bytes(picture, parameters.jpeg_quality)).decode("ascii")
         return {"kind": kind, "picture": data}

@@ -72,7 +72,7 @@ from repm_qgis.runtime.together import together
 from repm_qgis.runtime.workspace import write_text
 from repm_qgis.stages import provisional
 options = STAGES["change"].options.from_json({"before": "b.tif", "after": "a.tif", "output": sys.argv[1]})
-with together(*provisional("change", options)):
+with together(provisional("change", options)[0]):
     write_text(sys.argv[1], "new")
     os.kill(os.getpid(), signal.SIGKILL)
 """

@@ -231,5 +231,6 @@ def test_a_killed_run_leaves_scenes_and_folders_as_they_were(urban_run, tmp_path
         assert ended.returncode == -signal.SIGKILL, ended.stderr
         changed = files(stage)
         assert any(changed[name] != state[name] for name in state), stage
-        recover(*provisional(stage, STAGES[stage].options.from_json(options)))
+        products, shared = provisional(stage, STAGES[stage].options.from_json(options))
+        recover(products, shared)
         assert sorted(files(stage)) == sorted(state) and files(stage) == state, stage
