@@ -21,9 +21,11 @@ from ..fusion.visible import nadir_first, pixels_on
 from ..geometry.cell_grid import CellGrid
 from ..geometry.footprints import footprint, geometry_of, ray_slope
 from ..imagery.bands import band_name, intensity_bands, natural_bands, water_bands
-from ..imagery.raster import opened, opened_masked
+from ..imagery.raster import opened, opened_masked, raster_identity
 from ..imagery.warping import sample_source
+from ..planning.empty_ends import without_empty_ends
 from ..runtime.progress import Progress, counted, listed
+from ..runtime.workspace import fingerprint
 from ..scene import Scene, View, load_view
 from .pansharpening import Multispectral, brovey
 from .parameters import PansharpeningParameters
@@ -98,7 +100,7 @@ class ColourSource:
                 return np.stack([sample_source(dataset, band, own, kernel) for band in self.bands])
             pan = sample_source(dataset, self.view.band, own, kernel)
         places = pixels(pair)
-        with opened(pair.image.image) as dataset:
+        with opened_masked(pair.image.image, pair.image.mask) as dataset:
             read = pair.bands if self.sharpened else self.bands
             values = np.stack([sample_source(dataset, band, places, kernel) for band in read])
         if self.sharpened:
@@ -169,7 +171,7 @@ def colour_plan(
     one band, an RpcError for XS without an RPC, OverlapError for XS that do not show what the images show.
     """
     views = nadir_first(scene)
-    paired = _paired(scene, views, options.xs, parameters) or _beside(scene, views, progress, parameters)
+    paired = _coloured(scene, views, options, progress, parameters)
     sources: List[ColourSource] = []
     found: List[_Bands] = []
     for view in views:
@@ -223,7 +225,7 @@ def water_sources(
         pairs = [source.multispectral for source in plan.sources]
         paired = {pair.pan.name: pair.image for pair in pairs if pair is not None}
     else:
-        paired = _paired(scene, views, options.xs, parameters) or _beside(scene, views, progress, parameters)
+        paired = _coloured(scene, views, options, progress, parameters)
     sources: List[ColourSource] = []
     without: List[str] = []
     for view in views:
@@ -241,6 +243,21 @@ def water_sources(
             "('green', 'near infrared'), so that water can be distinguished from land."
         )
     return tuple(sources)
+
+
+def _coloured(
+    scene: Scene,
+    views: Sequence[View],
+    options: DsmFuseOptions,
+    progress: Progress,
+    parameters: PansharpeningParameters,
+) -> Dict[str, View]:
+    """The multispectral image of each view, by the view's name, with a mask of its empty ends beside the scene."""
+    found = _paired(scene, views, options.xs, parameters) or _beside(scene, views, progress, parameters)
+    for name, image in found.items():
+        kept = scene.path.parent / "xs_masks" / f"{image.name}_{fingerprint(raster_identity(image.image))[:12]}.tif"
+        found[name] = replace(image, mask=str(kept)) if kept.exists() else without_empty_ends(image, kept, progress)
+    return found
 
 
 def _paired(

@@ -104,7 +104,10 @@ def _windows(
     ratio = max(1, round(pair.image.gsd_m / pair.pan.gsd_m))
     # Places of panchromatic pixels in a multispectral one, from its middle.
     offsets = np.arange(ratio) - (ratio - 1) / 2.0
-    with opened_masked(pair.image.image) as spectral, opened_masked(pair.pan.image, pair.pan.mask) as sharp:
+    with (
+        opened_masked(pair.image.image, pair.image.mask) as spectral,
+        opened_masked(pair.pan.image, pair.pan.mask) as sharp,
+    ):
         for window in _spread(size, side, parameters.windows):
             columns, rows = np.arange(window.width), np.arange(window.height)
             pixels = np.stack(np.meshgrid(columns + window.col, rows + window.row), axis=-1).astype(np.float64)

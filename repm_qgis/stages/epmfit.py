@@ -27,12 +27,12 @@ from ..geometry.ground_metric import metric_at
 from ..geometry.parameters import VIRTUAL_GRID
 from ..geometry.tiles import GroundTile, largest_within, lay_tiles, pixel_window
 from ..imagery.acquisition import time_sidecars
-from ..imagery.collars import write_collar_mask
 from ..imagery.deliveries import with_images
 from ..imagery.parameters import SAMPLING
 from ..imagery.raster import raster_identity, require_content
 from ..names import scene_title
 from ..planning.altitude_range import altitude_range
+from ..planning.empty_ends import without_empty_ends
 from ..planning.overlap import common_ground, views_of
 from ..planning.plane_heights import with_planes
 from ..reports.stage_reports import fit_report
@@ -110,39 +110,6 @@ def _masks_are_there(scene: Scene) -> bool:
     return all(os.path.exists(view.mask) or view.mask.startswith("/vsi") for view in scene.views if view.mask)
 
 
-def _without_collars(views: Sequence[View], folder: Path, progress: Progress) -> Tuple[View, ...]:
-    """The views with masks of the empty ends of their parts, where no nodata value marks these."""
-    found = []
-    for view in views:
-        progress.step(0.0, f"black ends of {view.name}")
-        target = str(folder / f"{view.name}.tif")
-        fills: List[float] = []
-        share = write_collar_mask(
-            view.image,
-            view.band,
-            view.mask,
-            target=target,
-            check=progress.check_cancelled,
-            part=view.part,
-            told=fills.append,
-        )
-        if share:
-            looked_at = f"the part of '{view.name}' around EXTENT" if view.part else f"'{view.name}'"
-            percent = f"{100 * share:.1f}"
-            if fills:
-                progress.info(
-                    f"{percent} % of the pixels of {looked_at} are margins of the value {fills[0]:g}, or black ones, "
-                    "that no nodata value marks: they are left out."
-                )
-            else:
-                progress.info(
-                    f"{percent} % of the pixels of {looked_at} are black margins that no nodata value marks: they are "
-                    "left out."
-                )
-        found.append(replace(view, mask=target) if share else view)
-    return tuple(found)
-
-
 def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, progress: Progress) -> Scene:
     views = views_of(options, parameters.tiles.least_overlap_px, progress.warn)
     _log_views(views, progress)
@@ -172,7 +139,11 @@ def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, prog
         views = _parted(views, crs, area, (min(known), max(known)))
         for view in views:
             require_content(view.image, view.part)
-    views = _without_collars(views, masks, progress)
+    found: List[View] = []
+    for view in views:
+        progress.step(0.0, f"black ends of {view.name}")
+        found.append(without_empty_ends(view, masks / f"{view.name}.tif", progress))
+    views = tuple(found)
     altitudes, source = altitude_range(
         views,
         crs,

@@ -191,6 +191,32 @@ def test_pansharpening_keeps_the_mean_and_finds_the_true_colours(town, sharp, tm
     assert any("near infrared from band 4" in text for text in said.notes)
 
 
+@pytest.mark.parametrize("fill", (0, 65535))
+def test_margins_that_nothing_marks_are_no_colours(town, sharp, tmp_path, told, fill):
+    """A third of the multispectral image of one view is a margin; the others show that ground, and by the truth of the
+    scene its colours are there. It was white, or black."""
+    xs = []
+    for number, path in enumerate(town["xs"]):
+        copy = str(tmp_path / Path(path).name)
+        gdal.GetDriverByName("GTiff").CreateCopy(copy, gdal.Open(path), options=["COPY_SRC_OVERVIEWS=NO"])
+        if number == 1:
+            dataset = gdal.Open(copy, gdal.GA_Update)
+            values = dataset.ReadAsArray()
+            values[:, :, : values.shape[2] // 3] = fill
+            dataset.WriteArray(values)
+            dataset = None
+        xs.append(copy)
+    result, said = fused(town, tmp_path, told, xs=xs, colour="all")
+    truth = gdal.Warp("", town["truth"], format="MEM", outputBounds=bounds(result.ortho), xRes=0.5, yRes=0.5)
+    known, off = truth.ReadAsArray(), []
+    for path in (result.ortho, sharp[0].ortho):
+        colours = pixels(path).astype(float)
+        seen = (colours.min(axis=0) > 0) & (known.min(axis=0) > 0)
+        off.append(np.abs(colours - known)[:, seen].max(axis=0) / np.median(known))
+    assert np.median(off[0]) < 1.2 * np.median(off[1]) and (off[0] > 1.5).mean() < (off[1] > 1.5).mean() + 0.01
+    assert any("% of the pixels of" in text and "left out" in text for text in said.notes)
+
+
 def bounds(path):
     dataset = gdal.Open(path)
     x, cell, _, y, _, down = dataset.GetGeoTransform()
