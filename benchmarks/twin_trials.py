@@ -153,8 +153,10 @@ def change(draw: Draw) -> Trial:
     two = draw.form(sigma=0.1, holes=0.0, scaled=False, moved=moved, added=float(rng.uniform(-1, 1)))
     two = replace(two, metadata={"REPM_DAYS": "2024-05-01"})
     one = replace(one, metadata={"REPM_DAYS": "2020-05-01"})
-    kind, fault, hole = draw.kind("", "", "", "raster", "gap", "moved", "reversed", "copy", "zero errors"), "", None
-    conf_two = two
+    kind = draw.kind(
+        *("", "", "", "wall", "raster", "gap", "moved", "reversed", "copy", "zero errors", "beside", "half")
+    )
+    fault, hole, align, conf_two = "", None, "3d", two
     if kind == "raster":
         fault, change_it = draw.any_fault()
         two = conf_two = change_it(two)
@@ -168,6 +170,15 @@ def change(draw: Draw) -> Trial:
         fault = "a copy as the second date"
     elif kind == "zero errors":
         fault = "expected errors of 0"
+    elif kind == "wall":  # sound: a heap on a roof and on the ground beside it
+        before = replace(before, houses=((-8.0, -8.0, 8.0, 8.0, float(rng.uniform(5, 9))),))
+        after = replace(before, changes=((-2.0, -4.0, 18.0, 11.0, 5.0), (-40.0, -45.0, -25.0, -25.0, -4.0)))
+    elif kind == "beside":
+        fault, align = "a date 5 m beside, not aligned", ["none", "vertical"][int(rng.integers(2))]
+        two = conf_two = replace(two, moved=(5.0, 0.0), added=0.0)
+    elif kind == "half":
+        fault, two = "a date of one half", replace(two, covers=_HALVES)
+        conf_two = two
 
     def run(heard: Heard) -> str:
         error = 0.0 if kind == "zero errors" else 0.1
@@ -186,7 +197,7 @@ def change(draw: Draw) -> Trial:
                 "before_confidence": paths["after_confidence"],
                 "after_confidence": paths["before_confidence"],
             }
-        made = stage(CHANGE, heard, output=draw.path("d.tif"), report=draw.path("r.html"), **paths)
+        made = stage(CHANGE, heard, output=draw.path("d.tif"), report=draw.path("r.html"), align=align, **paths)
         most = 0.1 + 0.3 * max(one.cell, two.cell)
         return _first(
             off_by(made.gained_m3, added, 3 * made.gained_deviation_m3 + 0.08 * added, "what was gained, m3,"),
@@ -202,13 +213,21 @@ def _moved(covers: Tuple[float, float, float, float], east: float) -> Tuple[floa
     return covers[0] + east, covers[1], covers[2] + east, covers[3]
 
 
+SERIES_FAULTS: Dict[str, Dict[str, object]] = {
+    "offset": {"added": 2.0},
+    "beside": {"moved": (5.0, 0.0)},
+    "half": {"covers": _HALVES},
+}
+
+
 def series(draw: Draw) -> Trial:
     """Five dates of a box that rises: its volume against the first date."""
     world, rng = draw.world, draw.rng
     box = (-25.0, -25.0, 25.0, 25.0)
     rate = float(rng.uniform(0.8, 2.0))
     form = draw.form(sigma=0.1, scaled=False)
-    kind, fault, change_it = draw.kind("", "", "", "raster", "copy", "reversed", "year", "offset"), "", None
+    kinds = "", "", "", "raster", "copy", "reversed", "year", "offset", "beside", "half"
+    kind, fault, change_it = draw.kind(*kinds), "", None
     if kind == "raster":
         fault, change_it = draw.any_fault()
     elif kind:
@@ -217,6 +236,8 @@ def series(draw: Draw) -> Trial:
             "reversed": "DATES in reverse",
             "year": "a year that cannot be",
             "offset": "one date 2 m too high",
+            "beside": "a date 5 m beside, not aligned",
+            "half": "a date of one half",
         }[kind]
 
     def run(heard: Heard) -> str:
@@ -225,8 +246,8 @@ def series(draw: Draw) -> Trial:
             dated = replace(form, metadata={"REPM_DAYS": day})
             if k == 2 and change_it is not None:
                 dated = change_it(dated)
-            if k == 2 and kind == "offset":
-                dated = replace(dated, added=2.0)
+            if k == 2:
+                dated = replace(dated, **SERIES_FAULTS.get(kind, {}))
             source = k - 1 if kind == "copy" and k == 3 else k
             path = write(
                 draw.path(f"{k}.tif"), replace(world, changes=((*box, 2 * rate * source),)), dated, seed=source
@@ -236,9 +257,8 @@ def series(draw: Draw) -> Trial:
         if kind == "year":
             said[3] = ["0018-05-01", "2320-05-01"][int(rng.integers(2))]
         areas = write_boxes(draw.path("areas.geojson"), world, ((*box, 0.0),))
-        made = stage(
-            SERIES, heard, dsms=paths, dates=said, areas=areas, output=draw.path("s.tif"), report=draw.path("r.html")
-        )
+        target = {"output": draw.path("s.tif"), "report": draw.path("r.html")}
+        made = stage(SERIES, heard, dsms=paths, dates=said, areas=areas, **target)
         true = 6 * rate * 2500.0
         return off_by(made.volume_m3, true, 3 * made.volume_deviation_m3 + 0.05 * true, "the volume, m3,")
 
@@ -341,10 +361,16 @@ def buildings(draw: Draw) -> Trial:
         world = World.drawn(int(rng.integers(1 << 30)))
     flat = {"crs": world.utm(), "cell": 0.5, "holes": 0.0}
     dsm, ground = draw.form(**flat), draw.form(**flat)
-    kind, fault = draw.kind("", "", "low", "half", "raster", "terrain"), ""
+    kind, fault, tilt = draw.kind("", "", "low", "near", "tilted", "half", "raster", "terrain", "web"), "", 0.0
     if kind == "raster":
         fault, change_it = draw.any_fault()
         dsm = change_it(dsm)
+    elif kind == "near":
+        fault, ground = "a terrain 2 to 3 m off", replace(ground, added=float(rng.uniform(2, 3) * rng.choice((-1, 1))))
+    elif kind == "tilted":
+        fault, tilt = "a terrain tilted by 2 to 3 m", float(rng.uniform(4, 6)) / SIDE_M
+    elif kind == "web":
+        fault, dsm = "a CRS that distorts", replace(dsm, crs="EPSG:3857")
     elif kind == "terrain":
         fault, change_it = draw.any_fault()
         fault, ground = f"terrain: {fault}", change_it(ground)
@@ -355,7 +381,8 @@ def buildings(draw: Draw) -> Trial:
 
     def run(heard: Heard) -> str:
         path = write(draw.path("a.tif"), world, dsm, seed=1)
-        below = write(draw.path("t.tif"), world, ground, "ground", seed=2)
+        tilted = replace(world, slope=(world.slope[0] + tilt, world.slope[1]))
+        below = write(draw.path("t.tif"), tilted, ground, "ground", seed=2)
         report = draw.path("r.html")
         made = stage(BUILDINGS, heard, dsm=path, dtm=below, output=draw.path("b.gpkg"), report=report)
         area = sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1, _ in world.houses)

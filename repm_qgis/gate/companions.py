@@ -138,11 +138,9 @@ def _off(
             return mode(above, parameters.mode_share), False
         return 0.0, False
     low, middle, high = np.percentile(ground, (2.0, 50.0, 98.0))
-    worst = max((low, high), key=abs)
-    if abs(worst) <= max(parameters.most_off_m, promised_m):
-        return 0.0, False
-    tilted = high - low > 0.5 * parameters.most_off_m
-    return float(worst if tilted else middle), bool(tilted)
+    tilted = bool(high - low > 0.5 * parameters.most_off_m)
+    worst = max((low, high), key=abs) if tilted else middle
+    return (float(worst), tilted) if abs(worst) > max(parameters.most_off_m, promised_m) else (0.0, False)
 
 
 def _displacement(

@@ -25,42 +25,48 @@ def ground_offsets(
     cell: Tuple[float, float],
     parameters: GateParameters = GATE,
 ) -> Optional[FloatArray]:
-    """(N,) how far the open ground lies above a terrain at N places, m, by a plane; None where too little is seen.
+    """(N,) how far the open ground lies above a terrain at N places, m, by a plane; None where too little is seen,
+    or where much lies lower, as beside the wide roof of a hall.
 
     ``above`` (rows, columns) are a DSM's heights above the terrain in windows of it, m, with cells of these metres.
     """
     parts: List[FloatArray] = []
-    total = 0
     for heights, window in zip(above, windows):
         factor = max(1, round(parameters.open_cell_m / abs(cell[0])))
         coarse, side = block_means(heights, factor), factor * abs(cell[0])
         known = np.isfinite(coarse)
-        total += int(known.sum())
         width = 2 * max(1, round(parameters.open_width_m / 2 / side)) + 1
         low = ndimage.grey_opening(np.where(known, coarse, np.float32(1e9)), size=(width, width))
         with np.errstate(invalid="ignore"):
-            rough = np.hypot(*np.gradient(coarse, side)) if min(coarse.shape) > 1 else np.inf
-            rows, columns = np.nonzero((coarse - low < parameters.open_near_m) & (rough < parameters.open_gradient))
+            rough = np.hypot(*np.gradient(coarse, side)) if min(coarse.shape) > 1 else np.full(coarse.shape, np.inf)
+            smooth = (coarse - low < parameters.open_near_m) & (rough < parameters.open_gradient)
+        rows, columns = np.nonzero(known)
         x, y = (window.col + columns * factor) * abs(cell[0]), (window.row + rows * factor) * abs(cell[1])
-        parts.append(np.column_stack([x, y, coarse[rows, columns]]).astype(np.float64))
-    x, y, height = np.concatenate([np.empty((0, 3)), *parts]).T
-    if height.size < max(parameters.open_cells, parameters.open_share * total):
+        parts.append(np.column_stack([x, y, coarse[known], smooth[known]]).astype(np.float64))
+    x, y, whole, smooth = np.concatenate([np.empty((0, 4)), *parts]).T
+    ground = smooth > 0
+    if ground.sum() < max(parameters.open_cells, parameters.open_share * whole.size):
         return None
-    design = np.column_stack([x - x.mean(), y - y.mean(), np.ones(x.size)])
-    design[:, :2] /= max(float(np.ptp(x)), float(np.ptp(y)), 1.0)
-    plane = np.array([0.0, 0.0, _densest(height)])
+    every = np.column_stack([x - x.mean(), y - y.mean(), np.ones(x.size)])
+    every[:, :2] /= max(float(np.ptp(x)), float(np.ptp(y)), 1.0)
+    design, height = every[ground], whole[ground]
+    plane = np.array([0.0, 0.0, _lowest(height, parameters.open_mode_share)])
     for _ in range(_ROUNDS):
         away = height - design @ plane
         weight = tukey(away / (parameters.open_tukey * max(nmad(away), parameters.open_least_m)))
         weighted = design * weight[:, None]
         normal = weighted.T @ design + np.diag([1e-6, 1e-6, 1e-9]) * max(float(weight.sum()), 1.0)
         plane = np.linalg.solve(normal, weighted.T @ height)
-    return np.asarray(design @ plane)
+    below = np.mean(whole < every @ plane - parameters.open_near_m)
+    return np.asarray(design @ plane) if 100.0 * below < parameters.ground_percent else None
 
 
-def _densest(height: FloatArray) -> float:
-    """The middle of the metre that most heights lie in."""
+def _lowest(height: FloatArray, share: float) -> float:
+    """The middle of the lowest metre with so many heights as a ``share`` of those in the densest one: wide roofs are
+    level, too."""
     bins = np.arange(np.floor(height.min()), np.ceil(height.max()) + 1.5, 0.5)
     count = np.histogram(height, bins)[0]
-    pairs = count[:-1] + count[1:] if count.size > 1 else count
-    return float(bins[int(pairs.argmax())] + 0.5)
+    pairs = count[:-1] + count[1:]
+    first = int(np.argmax(pairs >= share * pairs.max()))
+    peak = first + int(np.argmax(pairs[first : first + 3]))
+    return float(bins[peak] + 0.5)

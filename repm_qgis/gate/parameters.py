@@ -26,6 +26,7 @@ class GateParameters(Parameters):
     open_gradient: float = 0.25  # m per m above the terrain, up to which cells are smooth
     open_share: float = 0.02  # of the cells that are open ground, at least, and
     open_cells: int = 50  # so many
+    open_mode_share: float = 0.25  # of the most cells that lie in a metre: the lowest metre with so many is the ground
     open_tukey: float = 4.0  # spreads from the plane, from which on cells do not count
     open_least_m: float = 0.1  # of that spread
     near_m: float = (

@@ -207,6 +207,46 @@ def test_a_blurred_edge_lies_where_half_of_the_height_is_reached(witnessed, tmp_
     assert found["volume_m3"] == pytest.approx(3200, rel=0.07)  # what lies outside of it is left out
 
 
+@pytest.mark.parametrize("cell", (0.5, 1.0))
+@pytest.mark.parametrize("box", ((-2, -4, 18, 11), (0, -20, 20, -5), (2, -20, 12, 20), (-12, 4, 8, 19)))
+def test_a_change_across_the_walls_of_a_house_has_its_volume(cell, box, tmp_path, told):
+    """5 m more on a roof and on the ground beside it: cells at walls were left out, by up to ten deviations."""
+    side = round(120 / cell)
+    y, x = (np.mgrid[:side, :side] + 0.5) * cell - 60
+    plain = 100 + 4 * np.sin(x / 21) * np.cos(y / 17) + 2 * np.sin(x / 7 + y / 9) + 8.0 * ((abs(x) < 8) & (abs(y) < 8))
+    more = 5.0 * ((x > box[0]) & (x < box[2]) & (y > box[1]) & (y < box[3]))
+    paths = [
+        write(tmp_path / f"{seed}.tif", [plain + heap + noise(seed, 0.1, (side, side))], cell)
+        for seed, heap in ((1, 0.0), (2, more))
+    ]
+    made, true = change(*paths, tmp_path, told), float(more.sum()) * cell**2
+    assert abs(made.gained_m3 - true) < 3 * made.gained_deviation_m3 < 0.7 * true
+    assert made.gained_m3 == pytest.approx(true, rel=0.1) and made.lost_m3 == 0
+
+
+@pytest.mark.parametrize("align", ("none", "vertical"))
+def test_a_date_beside_its_place_is_named_where_nothing_moves_it(align, tmp_path, told):
+    before, said = write(tmp_path / "before.tif", [ground() + noise(1)]), told()
+    for east, found in ((5.0, ["dates-displaced"]), (0.4, [])):
+        after = write(tmp_path / "after.tif", [ground(east) + noise(2)])
+        options = {"before": before, "after": after, "output": str(tmp_path / "d.tif"), "align": align}
+        run_stage("change", options, said)
+        assert [each.id for each in said.warnings] == found
+        assert not found or "better 5.0 m beside its place" in said.warnings.pop()
+
+
+def test_the_share_that_was_compared_is_in_the_verdict(dates, tmp_path, told):
+    half, said = gdal.Open(dates[1]).ReadAsArray(), told()
+    report = tmp_path / "r.html"
+    for columns, share in ((SIDE, "100 %"), (SIDE // 2, "50.0 %")):
+        after = write(tmp_path / "part.tif", [half[:, :columns]])
+        options = {"before": dates[0], "after": after, "output": str(tmp_path / "d.tif"), "align": "vertical"}
+        run_stage("change", {**options, "report": str(report)}, said)
+        top = report.read_text(encoding="utf-8").split("<h2")[0]
+        assert f"{share} of the larger" in top or f"heights on {share}" in top
+    assert [each.id for each in said.warnings] == ["dates-partial"]
+
+
 def test_a_volume_is_as_uncertain_as_its_outline(dates, witnessed, tmp_path, told):
     """An outline that is off by the horizontal error all around sweeps the whole height of the change."""
     options = ChangeOptions(before=dates[0], after=dates[1], output=str(tmp_path / "d.tif"), **witnessed)

@@ -90,6 +90,30 @@ def test_a_terrain_that_does_not_belong_to_the_dsm_is_named(dsm, tmp_path):
     assert half.id == "terrain-partial" and "covers 50." in half
 
 
+@pytest.mark.parametrize("off", (2.0, 2.8, -2.0, -2.8))
+@pytest.mark.parametrize("tilted", (False, True))
+def test_a_terrain_that_lies_two_or_three_metres_off_is_named(dsm, tmp_path, off, tilted):
+    """The check began at 3 m, and houses are searched from 2.5 m on."""
+    ground = surface(1, houses=False)
+    ramp = np.linspace(-1.0, 1.0, SIDE)[:, None] if tilted else 1.0
+    (found,) = terrain_findings(dsm, written(tmp_path / "off.tif", ground - off * ramp))
+    assert (found.id, found.level) == ("terrain-off", "doubt")
+    says = f"lies {'up to ' if tilted else ''}{abs(off):.1f} m {'below' if off > 0 else 'above'} the ground"
+    assert tilted or says in found
+    assert terrain_findings(dsm, written(tmp_path / "near.tif", ground - off / 4 * ramp)) == []
+
+
+def test_ground_between_crowns_tells_where_the_terrain_is(tmp_path):
+    """Trees on four fifths of the ground, and a hall wider than the opening, are no ground."""
+    heights, bare = surface(houses=False), surface(1, houses=False)
+    crowns = np.random.default_rng(3).random((SIDE // 8, SIDE // 8)) < 0.8
+    heights += np.kron(crowns, np.ones((8, 8))) * np.random.default_rng(4).uniform(4, 14, (SIDE, SIDE))
+    heights[40:180, 60:200] = bare[40:180, 60:200] + 9.0
+    path = written(tmp_path / "forest.tif", heights)
+    assert terrain_findings(path, written(tmp_path / "bare.tif", bare)) == []
+    assert ids(terrain_findings(path, written(tmp_path / "low.tif", bare - 4.0))) == ["terrain-off"]
+
+
 def test_buildings_above_a_terrain_of_another_datum_are_not_good(dsm, tmp_path, told):
     """The ground was a building, under "Good."."""
     said = told()

@@ -267,6 +267,25 @@ def test_an_offset_is_reported_and_removed_only_where_that_is_asked(align, tmp_p
 
 
 @pytest.mark.long
+def test_a_date_beside_its_place_and_one_of_half_the_ground_are_named(tmp_path, told):
+    plain = [truth(0) + noise(date, 0.1) for date in range(4)]
+    for place, columns, found in ((PLACE, SIDE, []), ((PLACE[0] + 5.0, PLACE[1]), SIDE, ["dates-displaced"])):
+        paths = [
+            write(tmp_path / f"{date}.tif", [heights[:, :columns]], place if date == 2 else PLACE, day=DAYS[date])
+            for date, heights in enumerate(plain)
+        ]
+        said = told()
+        run_stage("series", {"dsms": paths, "output": str(tmp_path / "s.tif")}, said)
+        assert [each.id for each in said.warnings] == found and (not found or "2.tif' fits to" in said.warnings[0])
+    write(tmp_path / "2.tif", [plain[2][:, : SIDE // 2]], day=DAYS[2])
+    said, report = told(), tmp_path / "r.html"
+    run_stage("series", {"dsms": paths, "output": str(tmp_path / "s.tif"), "report": str(report)}, said)
+    assert [each.id for each in said.warnings] == ["dates-partial"] and "2.tif' has heights on 50.0 %" in str(
+        said.warnings
+    )
+    assert "heights on 50.0 %" in report.read_text(encoding="utf-8").split("<h2")[0]
+
+
 def test_confidences_state_errors_and_what_was_filled(dates, tmp_path, told):
     ordered = sorted(dates)
     confidences = []
