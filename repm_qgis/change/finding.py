@@ -161,7 +161,7 @@ class _Work:
             [
                 *surfaces.warnings,
                 *displaced_finding(self._options.after, self._options.before, beside),
-                *partial_finding(shared, "Both dates have"),
+                *partial_finding(shared, (self._options.before, self._options.after)),
             ],
         )
 

@@ -29,7 +29,7 @@ def change_page(options: ChangeOptions, found: Found) -> Report:
         if found.changes
         else "Nothing changed significantly between the two dates."
     )
-    page.verdict(f"{good} {as_percent(found.shared)} of the larger DSM's ground was compared.", about=True)
+    page.verdict(f"{good} Compared: {as_percent(found.shared)} of the larger DSM's ground.", about=True)
     _totals(page, options, found)
     _pictures(page, found)
     _largest(page, options, found)

@@ -118,10 +118,12 @@ def terrain_findings(
         ground = ground_offsets(differences, windows, cell, parameters)
         off, tilted = _off(above, ground, promised_m, parameters)
         if off:
-            how = f"{'up to ' if tilted else ''}{abs(off):.1f} m {'below' if off > 0 else 'above'}"
+            text = (
+                f"The terrain '{terrain}' lies {'up to ' if tilted else ''}{abs(off):.1f} m "
+                f"{'below' if off > 0 else 'above'} the ground of '{dsm}'"
+            )
             remedy = "check that both have the same vertical datum and unit, and show the same place"
-            text = f"The terrain '{terrain}' lies {how} the ground of '{dsm}': {remedy}."
-            findings.append(Finding("terrain-off", text, "doubt"))
+            findings.append(Finding("terrain-off", f"{text}: {remedy}.", "doubt"))
         else:
             findings += _displacement(terrain, dsm, patches, cell, parameters)
     return findings

@@ -35,7 +35,7 @@ class GateParameters(Parameters):
     most_displaced_m: float = 2.0  # between a terrain and a DSM; and so many cells
     most_displaced_cells: float = 2.0
     displaced_gain: float = 0.8  # of the misfit, at most, after the shift; otherwise it explains nothing
-    least_shared: float = 0.8  # of the ground of the largest DSM that all dates have; chosen
+    least_shared: float = 0.65  # of the ground of the largest DSM that all dates have: two turned squares have 0.7
     least_year: int = 1957  # of the first satellite
 
 

@@ -63,10 +63,11 @@ def known_m2(path: str) -> float:
     return float(known * rows / len(chosen) * abs(width * height))
 
 
-def partial_finding(share: float, what: str, parameters: GateParameters = GATE) -> List[Finding]:
-    """The finding of dates that share too little of the ground: ``what`` says who has heights on this share of what
-    the largest DSM covers."""
+def partial_finding(share: float, paths: Sequence[str], parameters: GateParameters = GATE) -> List[Finding]:
+    """The finding of dates that share too little of the ground: only this share of what the largest DSM covers has
+    heights in all of these."""
     if share >= parameters.least_shared:
         return []
-    text = f"{what} heights on {as_percent(share)} of the ground that the largest DSM covers"
+    names = ", ".join(f"'{path}'" for path in paths)
+    text = f"Only {as_percent(share)} of the ground that the largest DSM covers has heights in {names}"
     return [Finding("dates-partial", f"{text}: nothing is known of the rest. Cut the DSMs to one area, if it matters.")]

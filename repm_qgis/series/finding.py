@@ -163,7 +163,7 @@ class _Work:
             *surfaces.warnings,
             *([] if removed else self._offset_warnings(errors)),
             *self._beside,
-            *partial_finding(shared, f"'{self._series[least].path}' has"),
+            *partial_finding(shared, [self._series[least].path]),
         ]
         return FoundSeries(
             self._series,

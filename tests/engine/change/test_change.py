@@ -243,7 +243,7 @@ def test_the_share_that_was_compared_is_in_the_verdict(dates, tmp_path, told):
         options = {"before": dates[0], "after": after, "output": str(tmp_path / "d.tif"), "align": "vertical"}
         run_stage("change", {**options, "report": str(report)}, said)
         top = report.read_text(encoding="utf-8").split("<h2")[0]
-        assert f"{share} of the larger" in top or f"heights on {share}" in top
+        assert f"{share} of the larger" in top or f"Only {share} of the ground" in top
     assert [each.id for each in said.warnings] == ["dates-partial"]
 
 

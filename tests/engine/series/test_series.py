@@ -280,10 +280,8 @@ def test_a_date_beside_its_place_and_one_of_half_the_ground_are_named(tmp_path, 
     write(tmp_path / "2.tif", [plain[2][:, : SIDE // 2]], day=DAYS[2])
     said, report = told(), tmp_path / "r.html"
     run_stage("series", {"dsms": paths, "output": str(tmp_path / "s.tif"), "report": str(report)}, said)
-    assert [each.id for each in said.warnings] == ["dates-partial"] and "2.tif' has heights on 50.0 %" in str(
-        said.warnings
-    )
-    assert "heights on 50.0 %" in report.read_text(encoding="utf-8").split("<h2")[0]
+    assert [each.id for each in said.warnings] == ["dates-partial"] and "Only 50.0 % of the ground" in said.warnings[0]
+    assert "Only 50.0 % of the ground" in report.read_text(encoding="utf-8").split("<h2")[0]
 
 
 def test_confidences_state_errors_and_what_was_filled(dates, tmp_path, told):
