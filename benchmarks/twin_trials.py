@@ -247,7 +247,7 @@ def series(draw: Draw) -> Trial:
             if k == 2 and change_it is not None:
                 dated = change_it(dated)
             if k == 2:
-                dated = replace(dated, **SERIES_FAULTS.get(kind, {}))
+                dated = replace(dated, **SERIES_FAULTS.get(kind, {}))  # type: ignore[arg-type]
             source = k - 1 if kind == "copy" and k == 3 else k
             path = write(
                 draw.path(f"{k}.tif"), replace(world, changes=((*box, 2 * rate * source),)), dated, seed=source
