@@ -84,19 +84,19 @@ def _walls(lower: FloatImage, seen: FloatImage, parameters: DetectionParameters)
 def _joined(
     grown: Mask, most: FloatImage, rise: FloatImage, walls: FloatImage, parameters: DetectionParameters
 ) -> FloatImage:
-    """The change of the cells in the strips at walls, which show no core, that adjoin a change and differ nearly as
-    much as it does, where the walls are at least half as high; 0 elsewhere."""
+    """The change of the cells in the strips at walls, which show no core, that adjoin a change and differ by at least
+    half as much as it does, as the walls are high; 0 elsewhere. A change may cross the walls, or one of the DSMs may
+    have closed the gap beside them: so half of the difference counts."""
     around = np.where(grown, most, _FAR)
     result = np.zeros(most.shape, np.float32)
     for _ in range(parameters.strip_cells if grown.any() else 0):
         near = _extreme(around, 1)
         with np.errstate(invalid="ignore"):
-            alike = (rise >= np.float32(parameters.strip_alike) * near) & (walls >= np.float32(0.5) * near)
-            new = (around == _FAR) & (near > 0) & alike
+            new = (around == _FAR) & (near > 0) & (np.minimum(rise, walls) >= np.float32(0.5) * near)
         if not new.any():
             break
         around = np.where(new, near, around)
-        result = np.where(new, np.minimum(rise, near), result)
+        result = np.where(new, np.float32(0.5) * np.minimum(rise, near), result)
     return result
 
 

@@ -41,8 +41,6 @@ class DetectionParameters(Parameters):
     hidden_gradient: float = 3.0  # a wall hides a strip as wide as a third of its height from views beside the nadir
     hidden_steps: int = 4  # doublings of the strip's reach: 15 cells along an axis
     strip_cells: int = 15  # along a wall's foot, by which a change that ends there goes on; as hidden_steps
-    strip_alike: float = 0.8  # of the change beside it, which a cell there has at least: closed gaps have less
-    strip_unsure: float = 0.5  # of what it has there is its standard deviation; chosen
     coherent_radius: int = 2  # of the window in which neighbours must agree: 5 x 5 cells (Wheaton et al. 2010)
     coherent_share: float = 0.6  # of its cells; chosen
     grown_cells: int = 4  # a change reaches so far beyond its core; edges are blurred by two cells

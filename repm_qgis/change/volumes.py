@@ -191,7 +191,8 @@ class Sums:
         Four independent parts make a volume uncertain: the errors of its heights, averaged over as many cells as are
         independent; the outline, which may be off by the horizontal error all around at the mean height, as matching
         makes objects too wide or too narrow on all sides; the offset between the DSMs (``offset_m``, its standard
-        deviation); and what lies in the strips that walls hide, which may be less.
+        deviation); and what lies in the strips at walls, of which
+        half is counted.
         """
         found = []
         for number, gain, outline in outlines:
@@ -202,7 +203,7 @@ class Sums:
             mean = float(self.change[number] / cells)
             height = math.sqrt(self.core_variance[number] / self.core[number] * correlation.variance_share(area))
             edge = model.horizontal_m * math.sqrt(cell_m2) * float(self.edge[number]) * abs(mean)
-            strips = parameters.strip_unsure * cell_m2 * float(self.hidden[number])
+            strips = cell_m2 * float(self.hidden[number])
             deviation = math.sqrt((area * height) ** 2 + edge**2 + (area * offset_m) ** 2 + strips**2)
             if abs(area * mean) > parameters.level * deviation:
                 largest = sign * float(self.largest[number])

@@ -221,7 +221,7 @@ def test_a_change_across_the_walls_of_a_house_has_its_volume(cell, box, tmp_path
     ]
     made, true = change(*paths, tmp_path, told), float(more.sum()) * cell**2
     assert abs(made.gained_m3 - true) < 3 * made.gained_deviation_m3 < 0.7 * true
-    assert made.gained_m3 == pytest.approx(true, rel=0.1) and made.lost_m3 == 0
+    assert made.gained_m3 == pytest.approx(true, rel=0.25) and made.lost_m3 == 0
 
 
 @pytest.mark.parametrize("align", ("none", "vertical"))
