@@ -512,32 +512,30 @@ ARCHIVED = re.compile(r"/vsi(?:zip|tar)/", re.IGNORECASE)
 
 
 def _content(path: str) -> bytes:
-    if ARCHIVED.match(path):
-        return _archived(path)
+    data = _archived(path) if ARCHIVED.match(path) else _in_folder(path)
+    if len(data) > MAX_FILE_BYTES:
+        raise RpcInvalidError(f"it is larger than {MAX_FILE_BYTES >> 20} MiB, which no RPC file is.")
+    return data
+
+
+def _in_folder(path: str) -> bytes:
     if not os.path.isfile(path):
         raise RpcMissingError(f"There is no RPC file '{path}'.")
     try:
         with open(path, "rb") as stream:
-            data = stream.read(MAX_FILE_BYTES + 1)
+            return stream.read(MAX_FILE_BYTES + 1)
     except OSError as error:
         raise RpcMissingError(f"Cannot read the RPC file '{path}' ({reason_of(error)}).") from error
-    if len(data) > MAX_FILE_BYTES:
-        raise RpcInvalidError(f"it is larger than {MAX_FILE_BYTES >> 20} MiB, which no RPC file is.")
-    return data
 
 
 def _archived(path: str) -> bytes:
-    """The content of a file in an archive."""
     stream = gdal.VSIFOpenL(path, "rb")
     if stream is None:
         raise RpcMissingError(f"There is no RPC file '{path}'.")
     try:
-        data = bytes(gdal.VSIFReadL(1, MAX_FILE_BYTES + 1, stream) or b"")
+        return bytes(gdal.VSIFReadL(1, MAX_FILE_BYTES + 1, stream) or b"")
     finally:
         gdal.VSIFCloseL(stream)
-    if len(data) > MAX_FILE_BYTES:
-        raise RpcInvalidError(f"it is larger than {MAX_FILE_BYTES >> 20} MiB, which no RPC file is.")
-    return data
 
 
 def parsed(data: bytes) -> Optional[FoundRpc]:
