@@ -257,8 +257,8 @@ def typed(kind: Kind, value: object) -> Typed:
     if _is_array(origin):
         return _array(value)
     if isinstance(value, kind) and (kind is bool or not isinstance(value, bool)):
-        reason = _text_problem(value) if kind is str else _not_finite(value)
-        return _refuse_if(reason, value, value)
+        infinite = "must be finite" if isinstance(value, float) and not math.isfinite(value) else ""
+        return _refuse_if(_text_problem(value) if kind is str else infinite, value, value)
     if hasattr(kind, "from_mapping"):
         return kind.from_mapping(value)
     if hasattr(kind, "_fields"):
@@ -312,10 +312,6 @@ def _array(value: object) -> Typed:
         array = np.empty(0, dtype=object)
     _refuse_if("" if array.dtype.kind in "iuf" else "must be a list of numbers", value)
     return _refuse_if("" if np.isfinite(array).all() else "must be finite", value, array.astype(np.float64))
-
-
-def _not_finite(value: object) -> str:
-    return "must be finite" if isinstance(value, float) and not math.isfinite(value) else ""
 
 
 def _shallow(value: object, depth: int) -> Typed:

@@ -50,17 +50,14 @@ def needles(
 
     labels = _components(steps.astype(np.int64), small, most)
     places = ndimage.find_objects(labels)
+    by = parameters.around_cells
     for label in np.unique(labels[far]):
-        near = tuple(_wider(side, parameters.around_cells) for side in places[label - 1])
+        near = tuple(slice(max(side.start - by, 0), side.stop + by) for side in places[label - 1])
         own = labels[near] == label
         lone = np.nan_to_num(count[near][own]).max() < 2
         if lone and _stands_out(own, height[near], cell, parameters):
             result[near] |= own
     return result
-
-
-def _wider(side: slice, by: int) -> slice:
-    return slice(max(side.start - by, 0), side.stop + by)
 
 
 def _stands_out(own: Mask, height: FloatImage, cell: float, parameters: NeedleParameters) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from typing import List, Tuple
+from typing import List
 
 import numpy as np
 
@@ -44,7 +44,8 @@ def add_registration(page: Report, figures: RegistrationFigures) -> None:
     page.section("Registration")
     rows = []
     promised = (figures.promised_m[0], figures.promised_m[0], figures.promised_m[1])
-    known = [_is_determined(figures.determined, axis) for axis in range(2)] + [True]
+    # A component is determined where its axis lies in the directions that are.
+    known = [sum(direction[axis] ** 2 for direction in figures.determined) > 0.99 for axis in range(2)] + [True]
     for name, moved, deviation, promise, yes in zip(
         ("east", "north", "height"), figures.latest.moved, figures.deviation, promised, known
     ):
@@ -85,11 +86,6 @@ def add_registration(page: Report, figures: RegistrationFigures) -> None:
         page.facts([("Placed together with", ", ".join(figures.neighbours))])
     _offsets(page, figures)
     _differences(page, figures)
-
-
-def _is_determined(determined: Tuple[Tuple[float, float], ...], axis: int) -> bool:
-    """Whether a component is determined: its axis lies in the directions that are."""
-    return sum(direction[axis] ** 2 for direction in determined) > 0.99
 
 
 def _reference_row(each: ReferenceFigures) -> List[str]:

@@ -83,7 +83,8 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
         clouds = clouds_of(options, str(fusion.folder))
         painted = bool(plan or draped.ortho)
         finer = (layout.grid.cell / ortho_m) ** 2
-        ends = [whole * each for each in _cumulative_shares(1.0, _ORTHO * finer * painted, _POINTS * bool(clouds))]
+        weights = 1.0, _ORTHO * finer * painted, _POINTS * bool(clouds)
+        ends = [whole * (end / sum(weights)) for end in accumulate(weights)]
         facts, stored = fused(fusion, Part(progress, 0.0, ends[0]))
         dsm = FinishedSurface.of(options.output, layout.crs, layout.datum)
         part = Part(progress, ends[0], ends[1])
@@ -336,11 +337,6 @@ def _cloud_written(
     """The number of points that were written."""
     path, layout, tiles, ortho, normals, parameters = task
     return write_cloud(path, layout, tiles, ortho, normals, parameters)
-
-
-def _cumulative_shares(*weights: float) -> List[float]:
-    """Where steps of these weights end, as shares of all of them."""
-    return [end / sum(weights) for end in accumulate(weights)]
 
 
 def _derived(finished: FinishedDsm, progress: Progress) -> Dict[str, Optional[str]]:

@@ -69,7 +69,8 @@ def run(options: EpmFitOptions, progress: Progress, parameters: EngineParameters
     report_paths = with_copy(str(folder / "equivalent_error.html"), options.report)
     key = _key(options, parameters)
     scene = reusable(scene_path, "epmfit", key)
-    if scene is not None and _masks_are_there(scene):
+    masks = [view.mask for view in scene.views if view.mask] if scene is not None else []  # the fit may have made some
+    if scene is not None and all(os.path.exists(mask) or mask.startswith("/vsi") for mask in masks):
         tiles = counted(len(scene.tiles), "tile")
         progress.info(f"Reused the cameras of {tiles} in '{scene_path}': images and options are unchanged.")
     else:
@@ -103,11 +104,6 @@ def _key(options: EpmFitOptions, parameters: EngineParameters = ENGINE) -> str:
     sidecars += [path for image in options.images for path in time_sidecars(image) if path not in sidecars]
     rasters = map(raster_identity, [*options.images, *filter(None, [options.dem, *options.masks])])
     return fingerprint("epmfit", wanted, *rasters, *map(file_identity, sidecars), *parameters.in_fingerprint())
-
-
-def _masks_are_there(scene: Scene) -> bool:
-    """Whether all masks are still there; the fit itself may have made some."""
-    return all(os.path.exists(view.mask) or view.mask.startswith("/vsi") for view in scene.views if view.mask)
 
 
 def _fit(options: EpmFitOptions, masks: Path, parameters: EngineParameters, progress: Progress) -> Scene:
