@@ -203,6 +203,6 @@ def _times_in_file(path: str, text: str) -> List[str]:
         whole = [f"{day.strip()}T{time.strip()}" for day, time in zip(found["IMAGING_DATE"], found["IMAGING_TIME"])]
         return [*whole, *(value for name in names[2:] for value in found[name])][:64]
     pattern = _GEOM if path.lower().endswith(".geom") else _IMD
-    found_lines = {name: value for name, value in reversed(pattern.findall(text))}
+    found_lines = dict(reversed(pattern.findall(text)))
     order = ("time_range_start", "image_date", "firstLineTime", "TLCTime")
     return [found_lines[name] for name in order if name in found_lines]

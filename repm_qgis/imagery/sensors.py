@@ -60,13 +60,7 @@ SENSORS: Tuple[Sensor, ...] = (
     _sensor("Pleiades 1A", r"PHR[-_ ]?1A|PL.IADES[-_ ]?1A", 8.5, None, _PLEIADES),
     _sensor("Pleiades 1B", r"PHR[-_ ]?1B|PL.IADES[-_ ]?1B", 8.5, None, _PLEIADES),
     # Specified: an RMSE of 50 m.
-    _sensor(
-        "SPOT 5",
-        r"SPOT[-_ ]?5(?!\d)",
-        75.9,
-        None,
-        "CNES, in Bouillon & Gigord 2004, ISPRS Archives XXXV-B1",
-    ),
+    _sensor("SPOT 5", r"SPOT[-_ ]?5(?!\d)", 75.9, None, "CNES, in Bouillon & Gigord 2004, ISPRS Archives XXXV-B1"),
     _sensor("SPOT 6", r"SPOT[-_ ]?6(?!\d)", 35.0, None, _SPOT),
     _sensor("SPOT 7", r"SPOT[-_ ]?7(?!\d)", 35.0, None, _SPOT),
     _sensor("KOMPSAT-2", r"KOMPSAT[-_ ]?2(?!\d)", 80.0, None, _KOMPSAT),

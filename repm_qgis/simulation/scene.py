@@ -128,8 +128,7 @@ def surface_bounds(spec: SceneSpec, views: Sequence[PushbroomView]) -> Bounds:
     for view in views:
         edges = (np.linspace(-8.0, side + 7.0, 9) for side in view.size)
         pixels = np.stack(np.meshgrid(*edges), axis=-1).reshape(-1, 2)
-        for height in spec.height_bounds:
-            places.append(projected_from_geodetic(spec.crs, view.localise(pixels, height)))
+        places += [projected_from_geodetic(spec.crs, view.localise(pixels, height)) for height in spec.height_bounds]
     every = np.concatenate(places)
     margin = 10 * spec.cell_m
     return Bounds.between(every.min(axis=0) - margin, every.max(axis=0) + margin)
