@@ -143,7 +143,7 @@ def _bands(dataset: gdal.Dataset) -> List[Dict[str, object]]:
         band = dataset.GetRasterBand(number)
         facts: Dict[str, object] = {
             "data_type": _TYPES.get(band.DataType, "other"),
-            "spatial_resolution": _cell(dataset),
+            "spatial_resolution": abs(float(dataset.GetGeoTransform()[1])),
         }
         nodata = band.GetNoDataValue()
         if nodata is not None:
@@ -155,10 +155,6 @@ def _bands(dataset: gdal.Dataset) -> List[Dict[str, object]]:
             facts["statistics"] = statistics
         found.append(facts)
     return found
-
-
-def _cell(dataset: gdal.Dataset) -> float:
-    return abs(float(dataset.GetGeoTransform()[1]))
 
 
 def _statistics(band: gdal.Band) -> Optional[Dict[str, float]]:

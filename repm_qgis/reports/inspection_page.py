@@ -43,7 +43,8 @@ def inspection_page(
     ``outlook`` is what a run would take, "" where there is nothing to run; ``choices`` are images to begin with.
     """
     count = sum(len(place.images) for place in places)
-    page = Report("Images inspected", f"{counted(count, 'image')}, {counted(_pairs(places), 'overlap')}")
+    overlaps = sum(len(place.pairs) for place in places)
+    page = Report("Images inspected", f"{counted(count, 'image')}, {counted(overlaps, 'overlap')}")
     page.paragraph(verdict(places, unusable))
     if outlook:
         page.paragraph(outlook)
@@ -127,10 +128,6 @@ def _looks(facts: PairFacts) -> str:
     pair = facts.pair
     apart = "" if pair.days is None else f", {duration_text(pair.days)} apart"
     return f"{pair.angle_deg:.0f} degrees, B/H {pair.base_to_height:.2f}, {facts.percent:.0f} % overlap{apart}"
-
-
-def _pairs(places: Sequence[Place]) -> int:
-    return sum(len(place.pairs) for place in places)
 
 
 def _images(page: Report, places: Sequence[Place], unusable: Mapping[str, str]) -> None:
