@@ -375,6 +375,21 @@ def quality() -> QgsProcessingParameterDefinition:
     )
 
 
+def matching_cost() -> QgsProcessingParameterDefinition:
+    return advanced(
+        choice(
+            ReconstructOptions,
+            "matching_cost",
+            tr("Matching cost"),
+            tr(
+                "What tells that two pixels show the same place. intensity: the images' grey values, for images of one "
+                "day; learned: features of a small neural network, for images of different seasons, which takes up to "
+                "twice the time; auto: decided for each pair by how well its images agree."
+            ),
+        )
+    )
+
+
 def pairs() -> QgsProcessingParameterDefinition:
     return advanced(
         choice(

@@ -49,6 +49,7 @@ class Pipeline(RepmAlgorithm):
             parameters.advanced(parameters.model()),
             parameters.advanced(parameters.order()),
             parameters.pairs(),
+            parameters.matching_cost(),
             parameters.pointing(),
             parameters.adjustment(),
             parameters.advanced(parameters.backend()),

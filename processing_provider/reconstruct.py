@@ -32,6 +32,7 @@ class Reconstruct(RepmAlgorithm):
             parameters.gcp_datum(),
             parameters.quality(),
             parameters.pairs(),
+            parameters.matching_cost(),
             parameters.pointing(),
             parameters.adjustment(),
             *parameters.patch_match(),

@@ -24,6 +24,8 @@ BACKENDS = ("auto", "sgm", "colmap")
 POINTINGS = ("auto", "shift", "affine", "jitter")
 PAIRS = ("best", "fewest")
 QUALITIES = ("fast", "default", "best")
+INTENSITY, LEARNED = "intensity", "learned"
+MATCHING_COSTS = ("auto", INTENSITY, LEARNED)
 ADJUSTMENTS = ("rpc", "colmap")
 METHODS = ("median", "mean")
 FILLS = ("none", "occlusions", "all")
@@ -347,8 +349,9 @@ class ReconstructOptions(Options):
     machine. ``geometric``, ``colmap_fusion``, ``window_radius`` (px) and ``gpu_memory`` (GiB, 0 = what is free) are the
     backend colmap's. ``pairs``: ``best``, each view's best ones, or ``fewest``, those that connect all views.
     ``quality``: the time and the accuracy of matching, ``fast``, ``default`` or ``best`` (stages/parameters.py);
-    ``fast`` takes the fewest pairs, too. ``own_surface``: before the matching, refine with the terrain model on the
-    surface that the coarse level finds.
+    ``fast`` takes the fewest pairs, too. ``matching_cost``: what tells that two pixels match, ``intensity``
+    or ``learned`` features; ``auto`` decides it for each pair (matching/pair_backend.py). ``own_surface``: before the
+    matching, refine with the terrain model on the surface that the coarse level finds.
     """
 
     scene: str = read()
@@ -370,6 +373,7 @@ class ReconstructOptions(Options):
     own_surface: bool = switch(False)
     pairs: str = choice("best", PAIRS)
     quality: str = choice("default", QUALITIES)
+    matching_cost: str = choice("auto", MATCHING_COSTS)
 
     def __post_init__(self) -> None:
         super().__post_init__()

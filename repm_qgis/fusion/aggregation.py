@@ -33,7 +33,7 @@ class HeightLayer:
     """A height map on the cells: ``height`` (m, NaN = not matched) with its ``score``, ``background`` (m, NaN = none)
     where an occlusion hides the cell, the height of one px of disparity, and the ``spacing`` of pixels on the ground
     (m). ``partial`` cells are covered by matched points to less than half, ``partial_background`` by the background's
-    (None: no cells are)."""
+    (None: no cells are). ``learned``: it was matched by learned features."""
 
     height: Floats
     score: Floats
@@ -42,6 +42,7 @@ class HeightLayer:
     spacing: float
     partial: Optional[Mask] = None
     partial_background: Optional[Mask] = None
+    learned: bool = False
 
     @property
     def unit(self) -> float:
@@ -298,7 +299,11 @@ def _observed(layer: HeightLayer, rim: int, p: EvidenceParameters) -> Tuple[Floa
     behind = np.float32(p.background) * np.where(half_background, np.float32(p.doubtful), np.float32(1))
     evidence = np.where(known, evidence, np.where(np.isfinite(background), behind, np.float32(0)))
     loss = 1.0 - np.clip(np.nan_to_num(score), 0.0, 1.0)
-    sigma = np.where(known, p.best + p.per_score * loss, p.of_background) * layer.unit
+    per_score = p.per_score
+    if layer.learned:  # of these, correlations say how much a height counts, and little about its deviation
+        per_score, trust = p.per_learned_score, np.maximum((1 - loss) ** 2, np.float32(p.least_trust))
+        evidence = np.where(known, evidence * trust, evidence)
+    sigma = np.where(known, p.best + per_score * loss, p.of_background) * layer.unit
     return np.where(known, height, background), evidence, sigma.astype(np.float32), score, known.astype(np.float32)
 
 

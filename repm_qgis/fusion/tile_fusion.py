@@ -10,6 +10,7 @@ from typing import List, Optional, Sequence, Tuple
 import numpy as np
 
 from ..contracts.arrays import Bounds, Floats, Mask, Window
+from ..contracts.options import LEARNED
 from ..contracts.record import Record
 from ..contracts.records import FilePath, HeightMapRecord
 from ..geometry.cell_grid import CellGrid, overlapping_blocks
@@ -185,7 +186,8 @@ def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]
         for source, record, spacing, apart in zip(sources, task.records, spacings, sides):
             heights = source.read(bounds, task.step)
             metres = task.step * record.metres_per_px
-            layers.append(grid_height_map(part, heights, metres, spacing, parameters, apart))
+            learned = record.cost == LEARNED
+            layers.append(grid_height_map(part, heights, metres, spacing, parameters, apart, learned))
         fused = aggregate(layers, task.method, rim, parameters.evidence)
         inner, target = own.inside(wide), own.inside(everything)
         for array, values in zip(whole, fused.arrays()):
@@ -200,6 +202,7 @@ def grid_height_map(
     spacing: float,
     parameters: FusionParameters,
     apart: float = 0.0,
+    learned: bool = False,
 ) -> HeightLayer:
     """A height map on the cells: what was matched and, separately, the background where an occlusion hides it.
     ``spacing`` and ``apart`` are as of :func:`~repm_qgis.geometry.gridding.grid_points`.
@@ -219,11 +222,13 @@ def grid_height_map(
     x, y, z = (np.concatenate([part.ravel()[filled], more]) for part, more in zip(maps, occluded))
     half = parameters.covered * (grid.cell / spacing) ** 2
     if not z.size:
-        return HeightLayer(height, score, np.full(grid.shape, np.nan), metres_per_px, spacing, covered < half)
+        return HeightLayer(
+            height, score, np.full(grid.shape, np.nan), metres_per_px, spacing, covered < half, learned=learned
+        )
     background, _, behind = grid_points(grid, x, y, height=z, score=np.zeros(len(z)), **distances, parameters=gridding)
     # A roof's last pixels reach into cells that are mostly occluded ground.
     with np.errstate(invalid="ignore"):
         mostly_behind = (behind > covered) & (height - background > surface_step(grid.cell, gridding))
     height[mostly_behind] = np.nan
     score[mostly_behind] = np.nan
-    return HeightLayer(height, score, background, metres_per_px, spacing, covered < half, behind < half)
+    return HeightLayer(height, score, background, metres_per_px, spacing, covered < half, behind < half, learned)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, Tuple
+from typing import Optional, Protocol, Tuple
 
 import cv2
 import numpy as np
@@ -22,12 +22,14 @@ class DisparityMap:
 
     ``disparity`` in px, first column minus second column, NaN where there is none. ``score`` is the correlation of the
     matched neighbourhoods, 0..1, NaN where nothing was matched. ``filled`` marks disparities that were not matched but
-    taken from the background beside an occlusion.
+    taken from the background beside an occlusion. ``support``, 0..1: what the matcher knows of how well the
+    images support each pixel, beside correlations of their intensities.
     """
 
     disparity: FloatImage
     score: FloatImage
     filled: Mask
+    support: Optional[FloatImage] = None
 
     def in_frame(self, window: Window, size: Size) -> DisparityMap:
         """The map of a whole frame of ``size`` (width, height), of which this is a part; NaN beside it."""
@@ -83,3 +85,9 @@ def match_correlation(
     matched = cv2.remap(second, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=nothing)
     known = np.isfinite(matched) & np.isfinite(first) & np.isfinite(disparity)
     return window_statistics(first, matched, known, box_filter(window_px, border)).correlation(), known
+
+
+def match_score(first: FloatImage, second: FloatImage, disparity: FloatImage, high: int, window_px: int) -> FloatImage:
+    """(H, W) correlation of each pixel's window with the one it was matched to; NaN without data."""
+    score, known = match_correlation(first, second, disparity, high, window_px, cv2.BORDER_CONSTANT)
+    return np.where(known, score, np.float32(np.nan)).astype(np.float32)

@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import product
-from typing import Callable, List, NamedTuple, Optional, Tuple
+from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
 from ..contracts.arrays import Altitudes, Bounds, FloatImage, Mask, Size, Window
 from ..contracts.errors import EmptyResultError
-from ..contracts.options import ReconstructOptions
+from ..contracts.options import INTENSITY, LEARNED, ReconstructOptions
 from ..contracts.records import HeightMapRecord
 from ..geometry.rectification import RectifiedPair
 from ..geometry.refinement import translation
@@ -22,7 +21,7 @@ from ..imagery.raster import opened_masked
 from ..imagery.warping import PixelMap, SourcePixels, coarsened, source_pixels
 from ..runtime.memory import matching_mib, tile_work, workers_within
 from ..runtime.parallel import run_tasks
-from ..runtime.progress import Progress
+from ..runtime.progress import Part, Progress, Silent
 from ..runtime.workspace import drop_temporaries, fingerprint
 from ..scene import Scene
 from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, write_height_map
@@ -30,6 +29,7 @@ from ..stereo.pairing import rectified_pair, reductions
 from ..stereo.parameters import STEREO, StereoParameters
 from ..stereo.triangulation import PairGeometry, pair_geometry
 from ..stereo.wave_change import WaveGeometry, wave_geometry
+from . import learned
 from .backends import MatchingJob, MatchingResult
 from .disparity_map import DisparityMap, PairMatcher
 from .disparity_prior import (
@@ -41,8 +41,10 @@ from .disparity_prior import (
     sampled_on,
 )
 from .parameters import MATCHING, MatchingParameters, PriorParameters
-from .reliability import mask_unreliable
+from .reliability import mask_unreliable, shown_twice
 from .wide_windows import wide_match
+
+_CHOICE = 0.02  # of the progress, for the choice of costs
 
 
 @dataclass(frozen=True)
@@ -63,31 +65,36 @@ class PairBackend:
 
     def match(self, job: MatchingJob, progress: Progress) -> MatchingResult:
         """Match every pair over every tile that both of its views see, in as many workers as fit into memory."""
-        scene = job.scene.lean()
-        tasks = []
-        for tile, pair in product(job.tiles, job.pairs):
-            if pair.first in tile.views and pair.second in tile.views:
-                stretches = (job.stretches[pair.first], job.stretches[pair.second])
-                path = os.path.join(job.folder, f"{tile.id}_{pair.first}_{pair.second}.tif")
-                task = PairTask(
-                    backend=self,
-                    scene=scene,
-                    tile=tile.id,
-                    bounds=tile.bounds,
-                    altitudes=tile.altitudes,
-                    pair=pair.names,
-                    stretches=stretches,
-                    path=path,
-                    key=fingerprint(job.key, tile.id, pair.first, pair.second),
-                    parameters=job.parameters,
-                )
-                tasks.append(task)
+        tasks = self._tasks(job)
+        costs = choose_costs(job, tasks, Part(progress, 0.0, _CHOICE))
+        tasks = [replace(task, cost=costs[task.pair]) for task in tasks]
+        workers = _workers(tasks, job, progress)
         try:
-            records = run_tasks(match_to_disk, tasks, _workers(tasks, job, progress), progress, _describe)
+            records = run_tasks(match_to_disk, tasks, workers, Part(progress, _CHOICE, 1.0), _describe)
         except BaseException:
             drop_temporaries(job.folder)  # a worker that is ended while it writes cannot clean up
             raise
         return MatchingResult(records, {})
+
+    def _tasks(self, job: MatchingJob) -> List[PairTask]:
+        """Every pair over every tile that both of its views see, matched by intensities."""
+        scene, parameters = job.scene.lean(), job.parameters.of_pairs(len(job.pairs))
+        return [
+            PairTask(
+                backend=self,
+                scene=scene,
+                tile=tile.id,
+                bounds=tile.bounds,
+                altitudes=tile.altitudes,
+                pair=pair.names,
+                stretches=(job.stretches[pair.first], job.stretches[pair.second]),
+                path=os.path.join(job.folder, f"{tile.id}_{pair.first}_{pair.second}.tif"),
+                key=fingerprint(job.key, tile.id, pair.first, pair.second),
+                parameters=parameters,
+            )
+            for tile, pair in product(job.tiles, job.pairs)
+            if pair.first in tile.views and pair.second in tile.views
+        ]
 
     def height_source(
         self, scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str, parameters: MatchingParameters
@@ -124,13 +131,18 @@ class PairTask:
     path: str
     key: str
     parameters: MatchingParameters = MATCHING
+    cost: str = INTENSITY
+
+    @property
+    def pair_matcher(self) -> PairMatcher:
+        return learned.match if self.cost == LEARNED else self.backend.pair_matcher
 
 
 def _describe(task: PairTask) -> str:
     return f"matching tile {task.tile}, {task.pair[0]} and {task.pair[1]}"
 
 
-def _workers(tasks: List[PairTask], job: MatchingJob, progress: Progress) -> int:
+def _workers(tasks: Sequence[PairTask], job: MatchingJob, progress: Progress) -> int:
     """How many workers the memory allows; tiles are alike, so the one with the widest altitudes stands for all."""
     if not tasks:
         return job.options.workers
@@ -139,8 +151,58 @@ def _workers(tasks: List[PairTask], job: MatchingJob, progress: Progress) -> int
     disparities = (task.altitudes[1] - task.altitudes[0]) * slope / task.scene.matched_gsd_m(task.pair)
     side = max(task.bounds[2] - task.bounds[0], task.bounds[3] - task.bounds[1]) / task.scene.gsd_m
     width, height = frame_size(task)
-    each = matching_mib(width, height, disparities, task.parameters.sgm.paths)
+    volume = any(task.cost == LEARNED for task in tasks)
+    each = matching_mib(width, height, disparities, 8 if volume else task.parameters.sgm.paths)
     return workers_within(job.options.workers, tile_work(math.ceil(side), each), job.options.memory, progress)
+
+
+def choose_costs(job: MatchingJob, tasks: Sequence[PairTask], progress: Progress) -> Dict[Tuple[str, str], str]:
+    """The cost by which each pair is matched, by the names of its views.
+
+    With ``auto``, images of one day are matched by their intensities, and others where these agree: where the coarse
+    level of a few tiles has enough disparities that both directions of matching confirm.
+    """
+    chosen, p = job.options.matching_cost, job.parameters.learned
+    costs = {pair.names: INTENSITY if chosen == "auto" else chosen for pair in job.pairs}
+    if chosen != "auto":
+        return costs
+    unsure = {pair.names for pair in job.pairs if pair.days is None or pair.days >= p.least_days}
+    measured = []
+    for names in sorted(unsure):
+        own = [task for task in tasks if task.pair == names]
+        measured += own[:: max(-(-len(own) // p.measured_tiles), 1)]
+    counts: Dict[Tuple[str, str], List[Tuple[int, int]]] = {}
+    workers = _workers(tasks, job, Silent())
+    for task, count in zip(measured, run_tasks(agreement, measured, workers, progress, _describe)):
+        counts.setdefault(task.pair, []).append(count)
+    shares = {}
+    for names, found in counts.items():
+        agreed, shown = (sum(part) for part in zip(*found))
+        shares[names] = agreed / max(shown, 1)
+        if shares[names] < p.most_agreement:
+            costs[names] = LEARNED
+    learned = [names for names in costs if costs[names] == LEARNED]
+    if learned:
+        least, most = (100 * end(shares[names] for names in learned) for end in (min, max))
+        progress.info(
+            f"{len(learned)} of {len(costs)} pairs are matched by learned features: the intensities of their images "
+            f"agree on {least:.0f} to {most:.0f} % of the ground (MATCHING_COST)."
+        )
+    return costs
+
+
+def agreement(task: PairTask) -> Tuple[int, int]:
+    """Of the reduced first image of a pair over a tile, the pixels that intensities match in both directions, and those
+    that both images can show."""
+    posed = _posed(task)
+    if posed is None:
+        return 0, 0
+    pair, geometry = posed
+    small = _Frame(task, pair, geometry).reduced()
+    match = task.backend.pair_matcher
+    found = match(small.first, small.second, small.disparities, geometry.height_sign, parameters=task.parameters)
+    shown = shown_twice(small.first, small.second, small.disparities)
+    return int((shown & np.isfinite(found.disparity) & ~found.filled).sum()), int(shown.sum())
 
 
 def match_to_disk(task: PairTask) -> Optional[HeightMapRecord]:
@@ -169,16 +231,24 @@ class MatchedTile(NamedTuple):
     filled: Mask
 
 
-def match_tile(task: PairTask) -> Optional[MatchedTile]:
-    """Rectify, match, and turn disparities into heights; None without common ground."""
+def _posed(task: PairTask) -> Optional[Tuple[RectifiedPair, PairGeometry]]:
+    """A task's rectified pair and its geometry; None without common ground."""
     pair = rectified_over_tile(task.scene, task.pair, task.bounds, task.altitudes, task.parameters.stereo)
     if pair is None or min(pair.size) < task.parameters.stereo.smallest_px:
         return None
     first, second = (task.scene.view(name) for name in task.pair)
     try:
-        geometry = pair_geometry(pair, first, second, task.altitudes, task.scene.crs, task.parameters.stereo)
+        return pair, pair_geometry(pair, first, second, task.altitudes, task.scene.crs, task.parameters.stereo)
     except EmptyResultError:
         return None
+
+
+def match_tile(task: PairTask) -> Optional[MatchedTile]:
+    """Rectify, match, and turn disparities into heights; None without common ground."""
+    posed = _posed(task)
+    if posed is None:
+        return None
+    pair, geometry = posed
     matched = match_pair(task, pair, geometry)
     columns, rows = np.arange(pair.size[0], dtype=np.float64), np.arange(pair.size[1], dtype=np.float64)
     heights = geometry.height.on_grid(columns, rows, matched.disparity.astype(np.float64)).astype(np.float32)
@@ -190,6 +260,7 @@ def match_tile(task: PairTask) -> Optional[MatchedTile]:
         vertical_parallax_px=geometry.vertical_parallax_px,
         table_error_m=geometry.error_m,
         altitudes=task.altitudes,
+        cost=task.cost,
     )
     return MatchedTile(record, heights, matched.score, matched.filled)
 
@@ -219,48 +290,58 @@ class SampledPair(NamedTuple):
         return disparity if self.prior is None else self.prior.full_disparity(disparity)
 
 
+class _Frame:
+    """What the frame of a task's pair is sampled from, over the disparities of all altitudes with their margin."""
+
+    def __init__(self, task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> None:
+        self.search = low, high = _whole_range(geometry, task.parameters.prior)
+        (width, height), self._factor = pair.size, task.parameters.prior.factor
+        self.moved = replace(pair, h_second=translation(high, 0) @ pair.h_second)
+        self._sizes = (pair.size, (width + high - low, height))
+        self._maps = (self.moved.first_original, self.moved.second_original)
+        self.first, self.second = (_source(task, number, self._maps[number], self._sizes[number]) for number in (0, 1))
+        self._reduced: Optional[ReducedPair] = None
+
+    def reduced(self) -> ReducedPair:
+        """The pair as the coarse level has it."""
+        if self._reduced is None:
+            parts = zip((self.first, self.second), self._maps, self._sizes)
+            a, b = (_reduced(source, at, size, self._factor) for source, at, size in parts)
+            self._reduced = ReducedPair(a, b, (self.search[0] // self._factor, self.search[1] // self._factor))
+        return self._reduced
+
+
 def sample_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> SampledPair:
     """The images of a task's pair where they show the tile, on the disparity prior where that narrows the search."""
-    p = task.parameters.prior
-    low, high = search = _whole_range(geometry, p)
-    width, height = pair.size
-    moved = RectifiedPair(pair.first, pair.second, pair.h_first, translation(high, 0) @ pair.h_second, pair.size)
-    sizes = (pair.size, (width + high - low, height))
-    maps = (moved.first_original, moved.second_original)
-    first, second = (_source(task, number, maps[number], sizes[number]) for number in (0, 1))
-
-    @cache
-    def whole() -> ReducedPair:
-        a, b = (_reduced(source, at, size, p.factor) for source, at, size in zip((first, second), maps, sizes))
-        return ReducedPair(a, b, (low // p.factor, high // p.factor))
-
+    p, (width, height), frame = task.parameters.prior, pair.size, _Frame(task, pair, geometry)
+    (low, high), moved = frame.search, frame.moved
     window, prior = Window(0, 0, width, height), None
-    if needs_coarse_level(search, (height, width), p):
-        match, sign = task.backend.pair_matcher, geometry.height_sign
-        coarse = coarse_level(whole(), (height, width), sign, match, task.parameters)
+    if needs_coarse_level(frame.search, (height, width), p):
+        match, sign = task.pair_matcher, geometry.height_sign
+        coarse = coarse_level(frame.reduced(), (height, width), sign, match, task.parameters)
         bounds = task.bounds.grown(task.parameters.stereo.tile_margin_px * task.scene.matched_gsd_m(task.pair))
         window = coarse.window(bounds, geometry, p)
         prior = find_prior(coarse, window, geometry, p)
     left, top, width, height = window
-    a = first.sampled(lambda at: pair.first_original(at + (left, top)), (width, height), "cubic")
+    a = frame.first.sampled(lambda at: pair.first_original(at + (left, top)), (width, height), "cubic")
     if prior is None:
-        b = second.sampled(lambda at: moved.second_original(at + (left, top)), (width + high - low, height), "cubic")
+        original = lambda at: moved.second_original(at + (left, top))  # noqa: E731
     else:
         low, high = prior.low, prior.high
         original = sampled_on(prior.second_original(pair, geometry, p.remove_parallax))
-        b = second.sampled(original, (width + high - low, height), "cubic")
-    return SampledPair(a, b, (low, high), window, prior, lambda: whole().part(window, p.factor))
+    b = frame.second.sampled(original, (width + high - low, height), "cubic")
+    return SampledPair(a, b, (low, high), window, prior, lambda: frame.reduced().part(window, p.factor))
 
 
 def match_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> DisparityMap:
     """Disparities of a task's rectified pair, coarse to fine, without water and clouds; NaN beside the tile."""
     seen, sign = sample_pair(task, pair, geometry), geometry.height_sign
     subpixel = task.parameters.subpixel.of_pair(task.scene.matched_gsd_m(task.pair) / geometry.metres_per_px)
-    parameters, match = replace(task.parameters, subpixel=subpixel), task.backend.pair_matcher
+    parameters, match = replace(task.parameters, subpixel=subpixel), task.pair_matcher
     matched = match(seen.first, seen.second, seen.disparities, sign, geometry.relief_displacement, parameters)
 
     def wider(missing: Mask) -> DisparityMap:
-        return wide_match(seen.reduced(), sign, match, parameters, missing)
+        return wide_match(seen.reduced(), sign, task.backend.pair_matcher, parameters, missing)
 
     # Clouds are detected in full disparities: a prior that lies on a cloud would hide the height of the cloud.
     kept = mask_unreliable(
@@ -270,7 +351,7 @@ def match_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> D
         disparities=seen.disparities,
         height_sign=sign,
         metres_per_px=geometry.metres_per_px,
-        parameters=parameters.reliability,
+        parameters=parameters.learned_reliability if task.cost == LEARNED else parameters.reliability,
         wider=wider,
         full_disparity=seen.full_disparity,
     )

@@ -39,6 +39,34 @@ class SgmParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class LearnedParameters(Parameters):
+    """Semi-global matching of a learned cost, 0..1, and the chance that its disparity is wrong; seasons table."""
+
+    p1: float = 0.5  # penalty of a change of disparity by 1 px
+    p2: float = 3.0  # penalty of a greater change
+    contrast: float = 0.3  # of intensity from a pixel to the next, at which that penalty is half as large
+    mean_px: int = 9  # windows of the means of margin and cost below,
+    agreement_px: int = 25  # and of the share of pixels whose match points back to them within 1 px
+    odds: Tuple[float, ...] = (
+        3.385,
+        -2.221,
+        -1.074,
+        -1.519,
+        0.97,
+    )  # logarithm of the odds that a disparity is wrong by
+    # more than 3 m: itself, and more for each 1 of margin, lead, agreement and cost; fitted on simulated seasons
+    most_doubt: float = 0.8  # chance of that from which on no disparity is used,
+    most_shared_doubt: float = 0.6  # the same where other pairs may fill what this one leaves
+    least_doubt: float = 0.3  # and up to which those of one direction alone are
+    score_window_px: int = 7  # as of intensities
+    certain_support: float = 0.55  # of a certain disparity, in correlations that intensities would have: over water the
+    # mean doubt is 0.45 and more, and correlations are 0.3 and less; of right heights both have 2 to 7 %
+    least_days: float = 1.0  # between two images whose agreement is measured
+    most_agreement: float = 0.9  # of intensities at the coarse level, from which on they are the better cost
+    measured_tiles: int = 3  # of each pair
+
+
+@dataclass(frozen=True)
 class EdgeParameters(Parameters):
     """Correction of depth edges (guided filter of He, Sun and Tang 2013)."""
 
@@ -152,6 +180,15 @@ class ReliabilityParameters(Parameters):
 
 
 @dataclass(frozen=True)
+class LearnedReliabilityParameters(ReliabilityParameters):
+    """The same of learned features, which leave weak places in fields and gardens of another season, too."""
+
+    own_support: float = 0.4
+    least_px: int = 12000
+    shore_support: float = 0.7
+
+
+@dataclass(frozen=True)
 class WideWindowParameters(Parameters):
     """Weak texture, matched at the coarse level, where the noise falls to a quarter; px are those of reduced images."""
 
@@ -216,14 +253,22 @@ class MatchingParameters(Parameters):
 
     stereo: StereoParameters = StereoParameters()
     sgm: SgmParameters = SgmParameters()
+    learned: LearnedParameters = LearnedParameters()
     edges: EdgeParameters = EdgeParameters()
     occlusions: OcclusionParameters = OcclusionParameters()
     subpixel: SubpixelParameters = SubpixelParameters()
     reliability: ReliabilityParameters = ReliabilityParameters()
+    learned_reliability: LearnedReliabilityParameters = LearnedReliabilityParameters()
     wide: WideWindowParameters = WideWindowParameters()
     prior: PriorParameters = PriorParameters()
     coarse_surface: CoarseSurfaceParameters = CoarseSurfaceParameters()
     colmap: ColmapParameters = ColmapParameters()
+
+    def of_pairs(self, count: int) -> "MatchingParameters":
+        """Those of a scene of so many pairs."""
+        if count < 2:
+            return self
+        return replace(self, learned=replace(self.learned, most_doubt=self.learned.most_shared_doubt))
 
 
 MATCHING = MatchingParameters()

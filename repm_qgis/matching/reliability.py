@@ -56,7 +56,7 @@ def mask_unreliable(
     side, high = parameters.correlation_px, disparities[1]
     score, known = match_correlation(first, second, disparity, high, side, cv2.BORDER_REFLECT)
     score = np.where(known, np.clip(score, -1, 1), np.float32(0))
-    shown = _shown_twice(first, second, disparities)
+    shown = shown_twice(first, second, disparities)
     removed = _unsupported(matched, score, known, shown, parameters)
     matches = np.isfinite(disparity)
     if full_disparity is not None:
@@ -106,7 +106,7 @@ def _next_to_removed(matches: Mask, removed: Mask) -> Mask:
     return found
 
 
-def _shown_twice(first: FloatImage, second: FloatImage, disparities: Tuple[int, int]) -> Mask:
+def shown_twice(first: FloatImage, second: FloatImage, disparities: Tuple[int, int]) -> Mask:
     """Pixels that the second image can show: a missing match says something about these only."""
     span, width = disparities[1] - disparities[0], first.shape[1]
     count = np.zeros((second.shape[0], second.shape[1] + 1), dtype=np.int32)
@@ -126,7 +126,7 @@ def _unsupported(
     def support(side: int) -> FloatImage:
         mean = box_filter(side)
         share: FloatImage = mean(score) / np.maximum(mean(expected), np.float32(1e-3))
-        return share
+        return share if matched.support is None else np.maximum(share, mean(matched.support))
 
     weak = shown & (support(parameters.support_px) < parameters.least_support)
     weak = _grown(weak, shown & (support(parameters.own_px) < parameters.own_support), parameters.growth_px)

@@ -15,11 +15,11 @@ import numpy as np
 from ..contracts.arrays import ByteImage, FloatImage
 from ..imagery.sampling import known_or_zero
 from .depth_edges import correct_depth_edges
-from .disparity_map import DisparityMap, match_correlation
-from .occlusions import fill_occlusions
+from .disparity_checks import complete, speckle_filter, without_rim
+from .disparity_map import DisparityMap, match_score
 from .pair_backend import PairBackend
 from .parameters import MATCHING, MatchingParameters, SgmParameters
-from .subpixel import known_median, subpixel_disparity
+from .subpixel import subpixel_disparity
 
 _STEPS = 16  # OpenCV's units for each px of disparity; it also searches whole multiples of 16 px
 _MODES = {3: cv2.STEREO_SGBM_MODE_SGBM_3WAY, 5: cv2.STEREO_SGBM_MODE_SGBM, 8: cv2.STEREO_SGBM_MODE_HH}
@@ -49,28 +49,19 @@ def match(
     plain = _left_to_right(a, b, low, high, sgm)
     left = correct_edges(plain, first, second, (-1.0, high), height_sign, edges)
     right = correct_edges(_right_to_left(a, b, low, high, sgm), second, first, (1.0, -high), height_sign, edges)
-    first, second = _without_rim(first, sgm.rim_px), _without_rim(second, sgm.rim_px)
+    first, second = without_rim(first, sgm.rim_px), without_rim(second, sgm.rim_px)
     left[~np.isfinite(first)] = np.nan
     disparity = _agreed(left, right, high, sgm.left_right_px) + _drift(plain, a, b, low, high, sgm)
-    disparity = speckle_filter(disparity, first, second, low, high, sgm)
+
+    def score(found: FloatImage) -> FloatImage:
+        return match_score(first, second, found, high, sgm.score_window_px)
+
+    disparity = speckle_filter(disparity, low, score, sgm)
     disparity = subpixel_disparity(disparity, first, second, high, parameters.subpixel)
-    score = _score(first, second, disparity, high, sgm)
-    # Where the second image has no data, a disparity results from the smoothness term alone.
-    disparity[~np.isfinite(score)] = np.nan
-    dense = fill_occlusions(disparity, height_sign, relief_displacement, left, parameters.occlusions)
-    dense[~np.isfinite(first)] = np.nan
-    filled = np.isfinite(dense) & ~np.isfinite(disparity)
-    dense = np.where(filled, known_median(dense, parameters.subpixel.median_px), dense)
-    return DisparityMap(dense, np.where(np.isfinite(disparity), np.clip(score, 0, 1), np.float32(np.nan)), filled)
+    return complete(disparity, left, score(disparity), np.isfinite(first), height_sign, relief_displacement, parameters)
 
 
 BACKEND = PairBackend("sgm", match)
-
-
-def _without_rim(image: FloatImage, rim_px: int) -> FloatImage:
-    """The image without the pixels whose window contains pixels without data: their costs are meaningless."""
-    missing = (~np.isfinite(image)).astype(np.uint8)
-    return np.where(cv2.dilate(missing, np.ones((rim_px, rim_px), np.uint8)) > 0, np.float32(np.nan), image)
 
 
 def _disparities(reference: ByteImage, other: ByteImage, count: int, parameters: SgmParameters) -> FloatImage:
@@ -139,31 +130,3 @@ def _drift(
     half = (_left_to_right(one, other, low, high, parameters)[::-1] - disparity) * np.float32(0.5)
     with np.errstate(invalid="ignore"):
         return np.where(np.abs(half) <= np.float32(parameters.left_right_px / 2), half, np.float32(0))
-
-
-def speckle_filter(
-    disparity: FloatImage, first: FloatImage, second: FloatImage, low: int, high: int, parameters: SgmParameters
-) -> FloatImage:
-    """Disparities without small connected components; those of towers and chimneys stay if they match well."""
-    components = _components(disparity, low, parameters.tower_px, parameters)
-    with np.errstate(invalid="ignore"):
-        good = _score(first, second, components, high, parameters) > parameters.tower_score
-    kept = np.isfinite(_components(components, low, parameters.speckle_px, parameters)) | good
-    kept_components = np.where(kept, components, np.float32(np.nan))
-    return _components(kept_components, low, parameters.tower_px, parameters)
-
-
-def _components(disparity: FloatImage, low: int, pixels: int, parameters: SgmParameters) -> FloatImage:
-    """Only connected components of more than so many pixels; a step of disparity between neighbours separates them."""
-    steps = np.where(np.isfinite(disparity), (disparity - (low - 1)) * _STEPS, 0).astype(np.int16)
-    cv2.filterSpeckles(steps, 0, pixels, int(_STEPS * parameters.speckle_step_px))
-    return np.where(steps > 0, disparity, np.float32(np.nan)).astype(np.float32)
-
-
-def _score(
-    first: FloatImage, second: FloatImage, disparity: FloatImage, high: int, parameters: SgmParameters
-) -> FloatImage:
-    """Normalised cross-correlation of each pixel's window with the one it was matched to; NaN without data."""
-    window_px = parameters.score_window_px
-    score, known = match_correlation(first, second, disparity, high, window_px, cv2.BORDER_CONSTANT)
-    return np.where(known, score, np.float32(np.nan)).astype(np.float32)

@@ -139,7 +139,8 @@ _BYTES_PER_STRIP_PX = 16.0  # of the second image's strip that only far disparit
 def matching_mib(width: float, height: float, disparities: float, paths: int = 3) -> float:
     """Peak memory of a worker that matches a rectified tile of width x height px over so many disparities, MiB.
 
-    ``paths`` are the directions of aggregation: with 8, the costs of all these disparities are kept. Fitted to measured
+    ``paths`` are the directions of aggregation: with 8, the costs of all these disparities are kept, as they are of
+    learned features. Fitted to measured
     peaks of 0.2 to 2.1 Mpx; tests/engine/runtime/test_memory.py holds it to them within a factor of 1.5.
     """
     volume = _BYTES_PER_COST * (width + disparities) * height * disparities if paths == 8 else 0.0

@@ -1,0 +1,120 @@
+"""The learned cost: its network against onnxruntime's figures, its aggregation against plain loops, and pairs whose
+intensities disagree."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from repm_qgis.contracts.options import INTENSITY, LEARNED
+from repm_qgis.matching import learned, sgm
+from repm_qgis.matching.cost_volume import winners
+from repm_qgis.matching.learned_features import FEATURES, features_of_rows, normalised
+from repm_qgis.matching.parameters import MATCHING, LearnedParameters
+
+from .test_sgm import HIGH, LOW, pair_of
+
+# Of onnxruntime 1.32 with the file of mccnn 1.4.1: the first eight features of three pixels.
+_ONNXRUNTIME = {
+    (0, 0): (-0.08639, 0.08297, -0.03702, -0.24331, -0.03895, 0.03889, 0.01929, 0.07253),
+    (7, 11): (0.01969, 0.09283, 0.03549, -0.27256, -0.07153, -0.0484, 0.15711, 0.03904),
+    (13, 19): (0.04364, 0.07242, 0.00427, -0.19845, 0.07805, -0.01615, 0.10784, 0.1545),
+}
+
+
+def test_features_are_those_of_onnxruntime():
+    number = np.arange(24 * 30).reshape(24, 30)
+    image = ((number * 7919) % 101 / 50.0 - 1).astype(np.float32)
+    features = features_of_rows(image, 0, 14)
+    assert features.shape == (FEATURES, 14, 20)
+    for (row, column), expected in _ONNXRUNTIME.items():
+        assert np.abs(features[:8, row, column] - expected).max() < 1e-4
+    assert float(np.abs(features).sum()) == pytest.approx(1784.7437, abs=1e-2)
+
+
+def test_features_of_rows_do_not_depend_on_the_rows_that_are_made_together():
+    image = normalised(np.random.default_rng(1).random((40, 700)).astype(np.float32))
+    whole = features_of_rows(image, 0, 40)
+    parts = np.concatenate([features_of_rows(image, top, top + 10) for top in range(0, 40, 10)], axis=1)
+    assert np.abs(whole - parts).max() < 1e-5
+
+
+def summed_by_loops(costs, one, two, image, contrast):
+    """Hirschmueller's recursion, pixel by pixel: the sums over eight paths of costs (H, D, W)."""
+    height, count, width = costs.shape
+    total = np.zeros(costs.shape)
+    for down, right in ((0, 1), (0, -1), (1, 0), (1, 1), (1, -1), (-1, 0), (-1, 1), (-1, -1)):
+        paths = np.zeros(costs.shape)
+        for row in range(height)[:: down or 1]:
+            for column in range(width)[:: right or 1]:
+                before = row - down, column - right
+                own = costs[row, :, column].astype(float)
+                if 0 <= before[0] < height and 0 <= before[1] < width:
+                    past = paths[before[0], :, before[1]]
+                    step = abs(float(image[row, column]) - float(image[before]))
+                    jump = int(max(two / (1 + step / contrast), one + 1))
+                    beside = np.concatenate([[np.inf], past, [np.inf]])
+                    best = np.minimum(past, np.minimum(beside[:-2], beside[2:]) + one)
+                    own += np.minimum(best, past.min() + jump) - past.min()
+                paths[row, :, column] = own
+        total += paths
+    return total
+
+
+def test_sums_over_paths_are_those_of_plain_loops():
+    """But for the pixels where a diagonal path enters at the side: there ours go on from the pixel above or below."""
+    rng, p = np.random.default_rng(3), LearnedParameters()
+    shape, span = (14, 17), 6
+    base = cv2.GaussianBlur(rng.random((shape[0], shape[1] + span + 4)).astype(np.float32), (0, 0), 1.0)
+    first, second = base[:, 3 : 3 + shape[1]].copy(), base[:, : shape[1] + span].copy()
+    found = winners(first, second, span, p)
+    scale = int(255 / (1 + p.p1 + p.p2))
+    a, b = (features_of_rows(normalised(image), 0, shape[0]) for image in (first, second))
+    costs = np.stack([(1 - (a * b[:, :, e : e + shape[1]]).sum(axis=0)) / 2 for e in range(span + 1)], axis=1)
+    sums = summed_by_loops(np.floor(scale * costs + 0.5), round(scale * p.p1), scale * p.p2, first, p.contrast)
+    inside = np.s_[:, 5:-5]
+    assert (np.abs(found.first - sums.argmin(axis=1))[inside] <= 0.5).mean() > 0.95
+    lead = (sums.mean(axis=1) - sums.min(axis=1)) / (8 * scale)
+    assert np.corrcoef(lead[inside].ravel(), found.lead[inside].ravel())[0, 1] > 0.98
+    assert np.median(found.first[inside]) == pytest.approx(3, abs=0.2)
+
+
+def test_images_that_share_little_of_their_texture_are_matched():
+    """As across seasons: leaves and crops of another day lie over what stays."""
+    first, second = pair_of(lambda c, r: 5.25, seed=4)
+    other = cv2.GaussianBlur(np.random.default_rng(9).random(second.shape).astype(np.float32), (0, 0), 1.2)
+    other = (other - other.mean()) / other.std() * second.std()
+    changed = np.clip(second + np.float32(2) * other, 0, 1).astype(np.float32)
+    right = {}
+    for name, match in ((INTENSITY, sgm.match), (LEARNED, learned.match)):
+        found = match(first, changed, (LOW, HIGH), 1.0)
+        with np.errstate(invalid="ignore"):
+            right[name] = float((np.abs(found.disparity - 5.25) < 1).mean())
+    assert right[LEARNED] > 0.9
+    assert right[LEARNED] > right[INTENSITY] + 0.2
+
+
+def test_noise_is_not_matched_with_noise():
+    """Water looks different in each image: what is left of it is little, and no large surface."""
+    rng = np.random.default_rng(6)
+    first, second = (
+        cv2.GaussianBlur(rng.random((200, width)).astype(np.float32), (0, 0), 0.8) for width in (260, 260 + HIGH - LOW)
+    )
+    found = learned.match(first, second, (LOW, HIGH), 1.0)
+    assert np.isfinite(found.disparity).mean() < 0.1
+
+
+def test_pixels_without_data_have_no_disparity():
+    first, second = pair_of(lambda c, r: 3.0, seed=2)
+    first[40:90, 60:120] = np.nan
+    found = learned.match(first, second, (LOW, HIGH), 1.0)
+    assert not np.isfinite(found.disparity[40:90, 60:120]).any()
+    known = np.isfinite(found.disparity) & ~found.filled
+    assert known.mean() > 0.7
+    assert np.abs(np.median(found.disparity[known]) - 3.0) < 0.05
+
+
+def test_a_scene_of_several_pairs_keeps_only_what_is_less_doubtful():
+    alone, several = MATCHING.of_pairs(1).learned, MATCHING.of_pairs(3).learned
+    assert several.most_doubt == alone.most_shared_doubt < alone.most_doubt
