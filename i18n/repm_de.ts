@@ -1306,6 +1306,14 @@
         <translation>fast: nur so viele Paare, wie alle Bilder verbinden, ein Fünftel bis ein Drittel weniger Zeit und mehr Lücken; best: semiglobale Zuordnung in acht Richtungen statt drei, bis zur Hälfte mehr Zeit und mehr Speicher, für Gebirge, tiefe Sonnenstände und schräge Ansichten; default: dazwischen.</translation>
     </message>
     <message>
+        <source>Matching cost</source>
+        <translation>Kosten der Zuordnung</translation>
+    </message>
+    <message>
+        <source>What tells that two pixels show the same place. intensity: the images' grey values, for images of one day; learned: features of a small neural network, for images of different seasons, which takes up to twice the time; auto: decided for each pair by how well its images agree.</source>
+        <translation>Woran man erkennt, dass zwei Pixel denselben Ort zeigen. intensity: an den Grauwerten der Bilder, für Bilder eines Tages; learned: an Merkmalen eines kleinen neuronalen Netzes, für Bilder verschiedener Jahreszeiten, was bis zu doppelt so lange dauert; auto: für jedes Paar danach entschieden, wie gut seine Bilder übereinstimmen.</translation>
+    </message>
+    <message>
         <source>Pairs of images</source>
         <translation>Bildpaare</translation>
     </message>
