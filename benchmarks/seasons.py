@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import replace
-from typing import List, Sequence
+from typing import List, Mapping, Sequence
 
 from benchmarks.runner import ROOT, few, is_quick, made_by, say
 from benchmarks.scenes import CACHE, SHARED, made_once
@@ -29,12 +29,12 @@ _SETS = {
 _SIMULATED = {"December and May": (5, 15), "October and July": (4, 17), "December, May, January": (5, 15, 9)}
 
 
-def _row(label: str, images: Sequence[str], truth: str, area: object = None) -> List[object]:
+def _row(label: str, images: Sequence[str], truth: str, area: Mapping[str, object] = {}) -> List[object]:
     figures: List[object] = []
     for cost in (INTENSITY, "auto"):
         say(f"{label}, {cost} ...")
         with tempfile.TemporaryDirectory() as folder:
-            options = {"resolution": 0.5, "matching_cost": cost, **(area or {})}
+            options = {"resolution": 0.5, "matching_cost": cost, **area}
             dsm, spent = made_by(ROOT, images, folder, **options)
             found = score_files(dsm, truth, "3d").metrics
             figures += [found.valid, dict(found.completeness)[1.0], found.rmse, spent.cpu_s]

@@ -176,11 +176,12 @@ def choose_costs(job: MatchingJob, tasks: Sequence[PairTask], progress: Progress
     for task, count in zip(measured, run_tasks(agreement, measured, workers, progress, _describe)):
         counts.setdefault(task.pair, []).append(count)
     shares = {}
-    for names, found in counts.items():
-        agreed, shown = (sum(part) for part in zip(*found))
-        shares[names] = agreed / max(shown, 1)
-        if shares[names] < p.most_agreement:
-            costs[names] = LEARNED
+    for pair in job.pairs:
+        agreed, shown = (sum(part) for part in zip(*counts.get(pair.names, [(0, 0)])))
+        if shown:
+            shares[pair.names] = agreed / shown
+            if shares[pair.names] < (p.most_undated if pair.days is None else p.most_agreement):
+                costs[pair.names] = LEARNED
     learned = [names for names in costs if costs[names] == LEARNED]
     if learned:
         least, most = (100 * end(shares[names] for names in learned) for end in (min, max))

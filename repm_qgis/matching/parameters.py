@@ -62,7 +62,8 @@ class LearnedParameters(Parameters):
     certain_support: float = 0.55  # of a certain disparity, in correlations that intensities would have: over water the
     # mean doubt is 0.45 and more, and correlations are 0.3 and less; of right heights both have 2 to 7 %
     least_days: float = 1.0  # between two images whose agreement is measured
-    most_agreement: float = 0.9  # of intensities at the coarse level, from which on they are the better cost
+    most_agreement: float = 0.9  # of intensities at the coarse level, from which on they are the better cost;
+    most_undated: float = 0.75  # the same of images without a time: those of one pass have 0.82 to 0.95
     measured_tiles: int = 3  # of each pair
 
 

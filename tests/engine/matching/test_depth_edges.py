@@ -9,9 +9,11 @@ import pytest
 from scipy import ndimage
 
 from repm_qgis.matching.depth_edges import correct_depth_edges
+from repm_qgis.matching.disparity_checks import speckle_filter
+from repm_qgis.matching.disparity_map import match_score
 from repm_qgis.matching.occlusions import fill_occlusions
 from repm_qgis.matching.parameters import MATCHING
-from repm_qgis.matching.sgm import match, speckle_filter
+from repm_qgis.matching.sgm import match
 from repm_qgis.matching.subpixel import subpixel_disparity
 
 HEIGHT, WIDTH = 120, 160
@@ -89,11 +91,16 @@ def test_towers_stay(row, column):
         assert not (away & (disparity > GROUND + 2)).any()
 
 
+def without_speckles(disparity, first, second):
+    sgm = MATCHING.sgm
+    return speckle_filter(disparity, LOW, lambda of: match_score(first, second, of, HIGH, sgm.score_window_px), sgm)
+
+
 def test_a_tower_of_four_pixels_that_was_matched_is_not_lost_again():
     first, second, truth = scene((40, 70, 4, 4))
     found = correct_depth_edges(truth.astype(np.float32), first, second, (-1.0, HIGH), 1.0)
     np.testing.assert_allclose(found, truth, atol=1e-3)
-    alone = speckle_filter(found, first, second, LOW, HIGH, MATCHING.sgm)
+    alone = without_speckles(found, first, second)
     np.testing.assert_array_equal(alone, found)
     np.testing.assert_allclose(smoothed(alone), truth, atol=1e-2)
 
@@ -102,7 +109,7 @@ def test_small_pieces_that_match_badly_go():
     first, second, truth = scene()
     wrong = truth.astype(np.float32)
     wrong[40:46, 70:76] = ROOF
-    kept = speckle_filter(wrong, first, second, LOW, HIGH, MATCHING.sgm)
+    kept = without_speckles(wrong, first, second)
     assert np.isnan(kept[40:46, 70:76]).mean() > 0.9 and np.isfinite(kept).sum() >= kept.size - 36
 
 

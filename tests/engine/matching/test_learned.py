@@ -3,15 +3,18 @@ intensities disagree."""
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
 
 from repm_qgis.contracts.options import INTENSITY, LEARNED
-from repm_qgis.matching import learned, sgm
+from repm_qgis.matching import learned, pair_backend, sgm
 from repm_qgis.matching.cost_volume import winners
 from repm_qgis.matching.learned_features import FEATURES, features_of_rows, normalised
 from repm_qgis.matching.parameters import MATCHING, LearnedParameters
+from repm_qgis.runtime.progress import Recorder, Silent
 
 from .test_sgm import HIGH, LOW, pair_of
 
@@ -118,3 +121,39 @@ def test_pixels_without_data_have_no_disparity():
 def test_a_scene_of_several_pairs_keeps_only_what_is_less_doubtful():
     alone, several = MATCHING.of_pairs(1).learned, MATCHING.of_pairs(3).learned
     assert several.most_doubt == alone.most_shared_doubt < alone.most_doubt
+
+
+@pytest.mark.parametrize(
+    ("chosen", "days", "agreed", "cost"),
+    [
+        ("auto", 0.4, 10, INTENSITY),  # images of one day are not even measured
+        ("auto", 150.0, 60, LEARNED),
+        ("auto", 150.0, 95, INTENSITY),
+        ("auto", None, 80, INTENSITY),  # as images of one pass without times have it
+        ("auto", None, 60, LEARNED),
+        (LEARNED, 0.0, 95, LEARNED),
+        (INTENSITY, 150.0, 10, INTENSITY),
+    ],
+)
+def test_what_a_pair_is_matched_by(monkeypatch, chosen, days, agreed, cost):
+    pair = SimpleNamespace(first="a", second="b", names=("a", "b"), days=days)
+    job = SimpleNamespace(pairs=(pair,), options=SimpleNamespace(matching_cost=chosen), parameters=MATCHING)
+    tasks = [SimpleNamespace(pair=("a", "b"), number=number) for number in range(7)]
+    measured, told = [], Recorder(Silent())
+
+    def counts(function, some, *_):
+        measured.extend(some)
+        return [(agreed, 100) for _ in some]
+
+    monkeypatch.setattr(pair_backend, "run_tasks", counts)
+    monkeypatch.setattr(pair_backend, "_workers", lambda *_: 1)
+    assert pair_backend.choose_costs(job, tasks, told) == {("a", "b"): cost}
+    assert len(measured) == (0 if chosen != "auto" or days == 0.4 else 3)
+
+
+def test_a_pair_that_no_tile_shows_is_no_reason_for_features(monkeypatch):
+    pair = SimpleNamespace(first="a", second="b", names=("a", "b"), days=90.0)
+    job = SimpleNamespace(pairs=(pair,), options=SimpleNamespace(matching_cost="auto"), parameters=MATCHING)
+    monkeypatch.setattr(pair_backend, "run_tasks", lambda *_: [])
+    monkeypatch.setattr(pair_backend, "_workers", lambda *_: 1)
+    assert pair_backend.choose_costs(job, [], Silent()) == {("a", "b"): INTENSITY}

@@ -43,7 +43,7 @@ def test_what_the_second_image_can_show():
     for row, column in np.ndindex(there.shape):
         places = [column - d + HIGH for d in range(LOW, HIGH + 1)]
         expected[row, column] = there[row, column] and any(wide[row, place] for place in places)
-    np.testing.assert_array_equal(reliability._shown_twice(first, second, (LOW, HIGH)), expected)
+    np.testing.assert_array_equal(reliability.shown_twice(first, second, (LOW, HIGH)), expected)
     assert 0.2 < expected.mean() < 0.8
 
 

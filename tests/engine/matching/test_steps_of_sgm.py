@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from repm_qgis.matching import sgm
+from repm_qgis.matching import disparity_checks, sgm
+from repm_qgis.matching.disparity_map import match_score
 from repm_qgis.matching.parameters import MATCHING
 
 LOW, HIGH = -6, 9
@@ -43,7 +44,7 @@ def test_the_rim_is_what_a_window_with_missing_pixels_reaches(rim):
     rows, columns = np.indices(image.shape)
     half = rim // 2
     near = [(np.abs(rows - r) <= half) & (np.abs(columns - c) <= half) for r, c in ((10, 20), (0, 39))]
-    found = sgm._without_rim(image, rim)
+    found = disparity_checks.without_rim(image, rim)
     np.testing.assert_array_equal(np.isnan(found), near[0] | near[1])
     np.testing.assert_array_equal(found[np.isfinite(found)], image[np.isfinite(found)])
 
@@ -124,7 +125,7 @@ def test_components_end_where_neighbours_differ_by_more_than_a_step(step):
     disparity = disparity.astype(np.float32)
     for pixels in (0, 3, 12, 40):
         expected = by_flooding(disparity, pixels, step)
-        found = sgm._components(disparity, LOW, pixels, replace(SGM, speckle_step_px=step))
+        found = disparity_checks._components(disparity, LOW, pixels, replace(SGM, speckle_step_px=step))
         np.testing.assert_array_equal(found, expected)
     assert 0.05 < np.isfinite(expected).mean() < 0.9
 
@@ -139,7 +140,9 @@ def patch(rows, columns, top, left, match):
         first = other
     disparity = np.full(first.shape, np.nan, np.float32)
     disparity[top : top + rows, left : left + columns] = 4.0
-    kept = sgm.speckle_filter(disparity, first, second, LOW, HIGH, SGM)
+    kept = disparity_checks.speckle_filter(
+        disparity, LOW, lambda found: match_score(first, second, found, HIGH, SGM.score_window_px), SGM
+    )
     np.testing.assert_array_equal(kept[np.isfinite(kept)], 4.0)
     return int(np.isfinite(kept).sum())
 
@@ -158,7 +161,7 @@ def test_scores_are_correlations_of_matched_windows():
     disparity = np.full(first.shape, 4.0, np.float32)
     disparity[:, 50] = np.nan
     first[12, 30] = np.nan
-    score = sgm._score(first, second, disparity, HIGH, SGM)
+    score = match_score(first, second, disparity, HIGH, SGM.score_window_px)
     assert np.isnan(score[:, 50]).all() and np.isnan(score[12, 30])
     for row, column in ((20, 30), (40, 90), (50, 100), (22, 70)):
         a, b = first[row - 3 : row + 4, column - 3 : column + 4], second[row - 3 : row + 4, column + 2 : column + 9]
@@ -243,7 +246,7 @@ def test_fills_are_smoothed_and_matches_are_not(monkeypatch):
         dense[25, 65] = 9.0
         return dense
 
-    monkeypatch.setattr(sgm, "fill_occlusions", fill)
+    monkeypatch.setattr(disparity_checks, "fill_occlusions", fill)
     found = sgm.match(first, second, (LOW, HIGH), -1.0, 0.7)
     assert told == [(-1.0, 0.7, first.shape, MATCHING.occlusions)]
     assert found.filled[25, 65] and abs(found.disparity[25, 65] - 4) < 0.5
