@@ -127,7 +127,7 @@ def solve_shift(
         weight=solution.weight[seen],
         range_m=correlation.range_m,
         offsets=tuple(problem.local_offsets(solution, free, correlation)),
-        other_relief=_other_relief(xyz[seen, 2] - solution.residual[seen], xyz[seen, 2], parameters),
+        other_relief=other_relief(xyz[seen, 2] - solution.residual[seen], xyz[seen, 2], parameters),
         precision=solution.weight / solution.noise**2,
     )
 
@@ -159,7 +159,7 @@ def with_height(
         after_m=solution.residual[seen],
         weight=solution.weight[seen],
         range_m=correlation.range_m,
-        other_relief=_other_relief(xyz[seen, 2] - solution.residual[seen], xyz[seen, 2], parameters),
+        other_relief=other_relief(xyz[seen, 2] - solution.residual[seen], xyz[seen, 2], parameters),
         precision=weight,
     )
 
@@ -177,7 +177,7 @@ def _is_level(heights: FloatArray, solution: _Solution, parameters: Registration
     return bool(high - low < nmad(solution.residual[seen]))
 
 
-def _other_relief(own: FloatArray, reference: FloatArray, parameters: RegistrationParameters) -> Optional[OtherRelief]:
+def other_relief(own: FloatArray, reference: FloatArray, parameters: RegistrationParameters) -> Optional[OtherRelief]:
     """Whether (N,) heights of the surface have another relief than those of the reference; None where they have not,
     or are too level to tell.
 

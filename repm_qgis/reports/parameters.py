@@ -18,6 +18,12 @@ class VerdictParameters(Parameters):
     most_equivalent_px: float = 0.3  # RMSE of a tile's cameras after refinement; below, matching is not disturbed
     most_rpc_px: float = 0.01  # from an exported RPC to the pointed model; corrections of usual size stay below 0.001
     least_compared_percent: float = 50.0  # reference cells with a height of the DSM
+    least_compared_cells: int = 100  # cells: what fewer say of a DSM is chance
+    most_moved_m: float = (
+        30.0  # by an alignment, along the ground: images without control points differ by less, or ...
+    )
+    most_moved_cells: float = 3.0  # ... by so many cells
+    most_raised_m: float = 110.0  # and up: more than any geoid
     least_points: int = 4  # ground control points: with fewer, none can be called wrong
     most_bias_m: float = 0.5  # median difference from a reference, or of two DSMs of a mosaic ...
     most_bias_nmads: float = 2.0  # ... where it is more than so many NMADs, too

@@ -1,0 +1,72 @@
+"""A comparison with what is not the same surface, or not at its place, is not "Good."."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from repm_qgis.imagery.raster import write
+from repm_qgis.runtime.progress import Recorder, Silent
+from repm_qgis.stages import run_stage
+
+CRS = "EPSG:32633"
+
+
+def hills(shape=(240, 240)):
+    rows, columns = np.indices(shape).astype(float)
+    surface = 20 * np.sin(columns / 31) * np.cos(rows / 23) + 8 * np.sin((rows + 2 * columns) / 11) + 0.05 * columns
+    surface[60:100, 80:140] += 15
+    return (300 + surface).astype(np.float32)
+
+
+def ids_of(tmp_path, heights, align, east=0.0, reference=None):
+    """The findings' ids of a comparison of heights with the hills."""
+    paths = []
+    for name, values, x in (
+        ("dsm", heights, 5e5 + east),
+        ("reference", hills() if reference is None else reference, 5e5),
+    ):
+        paths.append(write(str(tmp_path / f"{name}.tif"), [values.astype(np.float32)], (x, 1, 0, 5e6, 0, -1), CRS))
+    run = Recorder(Silent())
+    run_stage("comparedsm", {"dsm": paths[0], "reference": paths[1], "align": align}, run)
+    return {finding.id for finding in run.findings}
+
+
+@pytest.fixture
+def noise():
+    return np.random.default_rng(5).normal(0, 0.3, hills().shape)
+
+
+@pytest.mark.parametrize("align", ("none", "vertical", "3d"))
+def test_a_sound_dsm_is_good(tmp_path, noise, align):
+    assert ids_of(tmp_path, hills() + noise, align) == set()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    (
+        lambda of: 2 * np.median(of) - of,
+        lambda of: of[::-1, ::-1],
+        lambda of: np.full_like(of, 300) + np.random.default_rng(1).normal(0, 0.01, of.shape),
+        lambda of: of / 0.3048,
+    ),
+    ids=("negated", "turned", "constant", "feet"),
+)
+def test_another_relief_is_named(tmp_path, noise, wrong):
+    assert "relief-other" in ids_of(tmp_path, wrong(hills() + noise), "vertical")
+
+
+@pytest.mark.parametrize("align", ("none", "vertical"))
+def test_a_dsm_beside_its_place_is_named(tmp_path, noise, align):
+    assert ids_of(tmp_path, hills() + noise, align, east=5.0) == {"place-off"}
+    assert ids_of(tmp_path, hills() + noise, "3d", east=5.0) == set()
+
+
+def test_a_few_cells_say_nothing(tmp_path, noise):
+    few = np.full(hills().shape, np.nan)
+    few[100:105, 100:110] = (hills() + noise)[100:105, 100:110]
+    assert "compared-cells" in ids_of(tmp_path, hills() + noise, "none", reference=few)
+
+
+def test_a_move_of_more_than_a_geoid_is_named(tmp_path, noise):
+    assert "moved-far" in ids_of(tmp_path, hills() + noise + 236, "vertical")
