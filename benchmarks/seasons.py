@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import replace
-from typing import List, Mapping, Sequence
+from typing import List, Sequence
 
 from benchmarks.runner import ROOT, few, is_quick, made_by, say
 from benchmarks.scenes import CACHE, SHARED, made_once
 from benchmarks.simulated.dates import WORLDVIEW3_JACKSONVILLE, DatedSpec, make_dated_scene
 from benchmarks.simulated.parameters import DATED, REAL
 from benchmarks.tables import Section, table
-from benchmarks.towns import quick_area
 from repm_qgis.contracts.options import INTENSITY
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.runtime.progress import Silent
@@ -29,13 +28,12 @@ _SETS = {
 _SIMULATED = {"December and May": (5, 15), "October and July": (4, 17), "December, May, January": (5, 15, 9)}
 
 
-def _row(label: str, images: Sequence[str], truth: str, area: Mapping[str, object] = {}) -> List[object]:
+def _row(label: str, images: Sequence[str], truth: str) -> List[object]:
     figures: List[object] = []
     for cost in (INTENSITY, "auto"):
         say(f"{label}, {cost} ...")
         with tempfile.TemporaryDirectory() as folder:
-            options = {"resolution": 0.5, "matching_cost": cost, **area}
-            dsm, spent = made_by(ROOT, images, folder, **options)
+            dsm, spent = made_by(ROOT, images, folder, resolution=0.5, matching_cost=cost)
             found = score_files(dsm, truth, "3d").metrics
             figures += [found.valid, dict(found.completeness)[1.0], found.rmse, spent.cpu_s]
     return [label, *figures]
@@ -46,11 +44,9 @@ def seasons() -> List[str]:
     if _TOWN.exists():
         for label, names in few(_SETS.items()):
             images = [str(_TOWN / f"JAX_068_{name}_RGB.tif") for name in names.split()]
-            rows.append(_row(label, images, str(_TOWN / "truth_west.tif"), quick_area()))
-    for seed, (label, chosen) in enumerate(few(_SIMULATED.items()), start=11):
+            rows.append(_row(label, images, str(_TOWN / "truth_west.tif")))
+    for seed, (label, chosen) in enumerate(() if is_quick() and rows else few(_SIMULATED.items()), start=11):
         spec = DatedSpec(seed=seed, acquisitions=tuple(WORLDVIEW3_JACKSONVILLE[number] for number in chosen))
-        if is_quick():
-            spec = replace(spec, side_m=128.0)
         folder = CACHE / f"seasons_{seed}_{int(spec.side_m)}"
         effects = replace(DATED, effects=REAL)
         made_once(folder, lambda: make_dated_scene(spec, str(folder), Silent(), effects))  # noqa: B023
