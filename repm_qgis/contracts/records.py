@@ -260,7 +260,7 @@ class OtherRelief(Record):
         """The sentence for the user."""
         if self.correlation < 0.5:
             what = "upside down, or of another place: check that each RPC belongs to its image, and the reference"
-        elif 0.6 < self.ratio < 1.6:
+        elif 0.6 < self.ratio < 1.6 and self.correlation < 0.95:
             what = "another surface, such as the ground below a forest: check what the reference shows"
         else:
             what = "scaled: check the units of both heights (a foot is 0.3048 m)"

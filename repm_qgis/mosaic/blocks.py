@@ -11,7 +11,7 @@ from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..contracts.arrays import FloatImage, IntArray, Window
+from ..contracts.arrays import FloatArray, FloatImage, IntArray, Window
 from ..contracts.documents import JsonObject
 from ..contracts.errors import EmptyResultError
 from ..evaluation.coregistration import align, block_means
@@ -20,6 +20,8 @@ from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster
 from ..imagery.heights import read_heights
 from ..numerics.robust import nmad
+from ..registration.parameters import REGISTRATION
+from ..registration.solve import other_relief
 from ..runtime.workspace import writing
 from .inputs import Dsm, Layout
 from .offsets import Overlap
@@ -60,16 +62,18 @@ def pair_tasks(layout: Layout, parameters: OffsetParameters) -> List[PairTask]:
 def measure_pair(task: PairTask) -> Optional[Overlap]:
     """The median difference of two DSMs, from parts that lie evenly over their overlap; None without enough cells."""
     windows = _patches(task.window, task.parameters.patch_cells, task.parameters.patches)
-    parts: List[FloatImage] = []
+    parts: List[FloatArray] = []
     with raster.opened(task.dsms[0].path) as first, raster.opened(task.dsms[1].path) as second:
         warpers = [HeightWarper(dataset, task.target) for dataset in (first, second)]
         for window in windows:
             cells = task.target.window(window)
             here = warpers[0].read(cells)
             if np.isfinite(here).any():
-                difference = here - warpers[1].read(cells)
-                parts.append(difference[np.isfinite(difference)])
-    found = np.concatenate([np.empty(0, np.float32), *parts])
+                there = warpers[1].read(cells)
+                both = np.isfinite(here) & np.isfinite(there)
+                parts.append(np.stack([here[both], there[both]]).astype(np.float64))
+    heights = np.concatenate([np.empty((2, 0)), *parts], axis=1)
+    found = heights[0] - heights[1]
     if found.size < task.parameters.least_cells:
         return None
     seen = sum(window.width * window.height for window in windows)
@@ -82,6 +86,7 @@ def measure_pair(task: PairTask) -> Optional[Overlap]:
         median=float(np.median(found)),
         nmad=nmad(found),
         displaced=_displacement(task),
+        other_relief=other_relief(heights[1], heights[0], REGISTRATION),
     )
 
 

@@ -14,6 +14,7 @@ from typing import Collection, Dict, List, Optional, Sequence, Tuple
 import numpy as np
 
 from ..contracts.arrays import FloatArray
+from ..contracts.records import OtherRelief
 from ..numerics.robust import NMAD_FACTOR
 from .parameters import MOSAIC, OffsetParameters
 
@@ -25,7 +26,7 @@ class Overlap:
     """Two DSMs by their numbers: the cells that both have, and the median and NMAD of first - second there, m.
 
     ``displaced`` is how far the second lies east and north of the first, m; None where the relief is too weak to find
-    it.
+    it. ``other_relief``: the second does not have the first one's relief.
     """
 
     first: int
@@ -34,6 +35,7 @@ class Overlap:
     median: float
     nmad: float
     displaced: Optional[Tuple[float, float]] = None
+    other_relief: Optional[OtherRelief] = None
 
     def after(self, added: FloatArray) -> float:
         """The median difference after the offsets are added, m."""

@@ -46,7 +46,8 @@ def mosaic_page(
 def left_differences(overlaps: Sequence[Overlap], offsets: Offsets) -> List[verdict.Difference]:
     """What is left of the differences of DSMs after their offsets."""
     return [
-        verdict.Difference(each.first + 1, each.second + 1, each.after(offsets.added), each.nmad) for each in overlaps
+        verdict.Difference(each.first + 1, each.second + 1, each.after(offsets.added), each.nmad, each.other_relief)
+        for each in overlaps
     ]
 
 

@@ -90,6 +90,8 @@ class RegistrationParameters(Parameters):
     cover_parts: int = 10  # along each side of the scene, of which these are
     least_alike: float = 0.5  # rank correlation of a surface with a reference; sound ones have 0.99. Chosen
     most_scaled: float = 1.5  # times as high, or as low; feet are 3.3. Chosen
+    certain_alike: float = 0.95  # rank correlation of heights of one surface without doubt: 0.98 and more in mountains,
+    most_alike_scaled: float = 1.15  # whose relief may differ by this factor. Chosen
     dem_m: float = 2.4  # standard deviation of a DEM's own height: LE90 4 m of Copernicus DEM (Airbus, handbook, 2020)
     unexpected: float = 2.0  # standard deviations from which on such an offset is more than is to be expected
     fine_cells: float = 4.0  # of the own surface: a raster with narrower cells has slopes no better than its own

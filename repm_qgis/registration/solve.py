@@ -194,6 +194,8 @@ def other_relief(own: FloatArray, reference: FloatArray, parameters: Registratio
     correlation = 0.0 if level else float(spearmanr(own, reference)[0])
     found = OtherRelief(correlation, float(nmad(own) / max(relief, parameters.least_noise_m)))
     most = parameters.most_scaled
+    if found.correlation >= parameters.certain_alike:  # of one surface, even a small factor is one of units
+        most = parameters.most_alike_scaled
     alike = found.correlation >= parameters.least_alike and 1.0 / most <= found.ratio <= most
     return None if alike and explains else found
 

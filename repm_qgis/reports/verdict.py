@@ -13,7 +13,7 @@ from typing import List, Mapping, NamedTuple, Optional, Sequence, Tuple
 import numpy as np
 
 from ..contracts.findings import Finding, distinct
-from ..contracts.records import FusionFacts, PairFigures, RegistrationFigures
+from ..contracts.records import FusionFacts, OtherRelief, PairFigures, RegistrationFigures
 from ..evaluation.gcp_accuracy import GcpAccuracy
 from ..evaluation.metrics import HeightMetrics
 from ..evaluation.parameters import GCPS
@@ -204,6 +204,7 @@ class Difference(NamedTuple):
     second: int
     median: float
     nmad: float
+    other_relief: Optional[OtherRelief] = None
 
 
 def of_mosaic(differences: Sequence[Difference], bounds: VerdictParameters = VERDICT) -> List[Finding]:
@@ -234,6 +235,10 @@ def of_mosaic(differences: Sequence[Difference], bounds: VerdictParameters = VER
                 "doubt",
             )
         )
+    for each in differences:
+        if each.other_relief is not None:
+            text = each.other_relief.sentence(f"DSM {each.first}")
+            said.append(Finding("overlap-relief", f"Of DSM {each.second}: {text}", "doubt"))
     return said
 
 

@@ -70,3 +70,25 @@ def test_a_few_cells_say_nothing(tmp_path, noise):
 
 def test_a_move_of_more_than_a_geoid_is_named(tmp_path, noise):
     assert "moved-far" in ids_of(tmp_path, hills() + noise + 236, "vertical")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    (
+        (lambda of: of, False),
+        (lambda of: of + 4, False),
+        (lambda of: 2 * np.median(of) - of, True),
+        (lambda of: of[:, ::-1], True),
+        (lambda of: np.median(of) + 1.25 * (of - np.median(of)), True),
+    ),
+    ids=("sound", "raised", "negated", "mirrored", "scaled"),
+)
+def test_a_dsm_of_a_mosaic_has_the_relief_of_the_others(tmp_path, noise, wrong, named):
+    """Medians of differences are 0 after the offsets, whatever the DSMs show."""
+    dsms = [
+        write(str(tmp_path / f"{name}.tif"), [values.astype(np.float32)], (5e5, 1, 0, 5e6, 0, -1), CRS)
+        for name, values in (("one", hills()), ("two", wrong(hills() + noise)))
+    ]
+    run = Recorder(Silent())
+    run_stage("mosaic", {"dsms": dsms, "output": str(tmp_path / "mosaic.tif")}, run)
+    assert ("overlap-relief" in {finding.id for finding in run.findings}) == named
