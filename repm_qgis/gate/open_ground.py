@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
-from scipy import ndimage
 
 from ..contracts.arrays import FloatArray, FloatImage, Window
 from ..evaluation.coregistration import block_means
@@ -30,6 +29,8 @@ def ground_offsets(
 
     ``above`` (rows, columns) are a DSM's heights above the terrain in windows of it, m, with cells of these metres.
     """
+    from scipy import ndimage  # QGIS's own process may lack it
+
     parts: List[FloatArray] = []
     for heights, window in zip(above, windows):
         factor = max(1, round(parameters.open_cell_m / abs(cell[0])))

@@ -259,7 +259,10 @@ def test_18_damage_after_an_earthquake(cook):
     source = ogr.Open(str(folder / "collapsed.gpkg"))
     lost = [{**each.items(), "box": each.GetGeometryRef().GetEnvelope()} for each in source.GetLayer(0)]
     source = None
-    assert len(lost) == 1 and 300 < lost[0]["area_m2"] < 700 and -14 < lost[0]["mean_m"] < -10, lost
+    # The house of the recipe covers 643 m2 and is cut by 12 m.
+    assert len(lost) == 1 and lost[0]["area_m2"] == pytest.approx(643, rel=0.1), lost
+    assert lost[0]["volume_m3"] == pytest.approx(-12 * 643, abs=2 * lost[0]["deviation_m3"]), lost
+    assert lost[0]["deviation_m3"] < 0.3 * abs(lost[0]["volume_m3"]), lost
     west, east, south, north = lost[0]["box"]
     place = Transformer.from_crs(32631, 4326, always_xy=True).transform((west + east) / 2, (south + north) / 2)
     ring = np.array(json.loads((folder / "house.geojson").read_text())["coordinates"][0])
