@@ -11,17 +11,18 @@ from dataclasses import dataclass, replace
 from typing import List, Tuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage, stats
+from numpy.typing import ArrayLike
+from scipy import ndimage
 
 from repm_qgis.contracts.arrays import FloatImage, Mask
 from repm_qgis.runtime.progress import Progress
-from repm_qgis.simulation.surface import Area, Ground, fractal
+from repm_qgis.simulation.parameters import SIMULATION
+from repm_qgis.simulation.seasons import foliage
+from repm_qgis.simulation.surface import Area, Codes, Ground, fractal
 from repm_qgis.simulation.town import Place, Town
 
 from .parameters import DATED, DistrictParameters, EffectParameters
 
-Codes = NDArray[np.uint8]
 PLAIN, GRASS, EVERGREEN, SHEDDING, GRAVEL, METAL, MEMBRANE, CAR = range(8)  # places in DistrictParameters.materials
 GROUND_CLASS, TREE_CLASS, BUILDING_CLASS = 2, 5, 6  # of the ASPRS, as lidar has them
 _BOUGHS = 7
@@ -67,7 +68,7 @@ class District(Town):
         super().__init__(ground, base, seed, progress, own.plan)
         self._own, self._seed = own, seed
         self._detail = fractal(self._rng, ground.height.shape, ground.cell, 3.0, 0.0, 0.1)
-        self._boughs = fractal(self._rng, ground.height.shape, ground.cell, own.bough_m, 0.0, 0.3)
+        self._boughs = fractal(self._rng, ground.height.shape, ground.cell, SIMULATION.season.bough_m, 0.0, 0.3)
         self.trees: List[Tree] = []
         self.stalls: List[Stall] = []
         self.material: Codes = np.zeros(ground.height.shape, np.uint8)
@@ -264,13 +265,11 @@ class District(Town):
         if found is None:
             return
         area, top, inside = found
-        own = self._own
-        index = own.leaf_area[1] + leaves * (own.leaf_area[0] - own.leaf_area[1])
+        solid, tone = foliage(self._boughs[area], tree.tone, leaves)
         if rough or leaves < 1:
-            inside = inside & (self._boughs[area] > stats.norm.ppf(math.exp(-index / 2)))
-        tone = leaves * tree.tone * (1 + 0.15 * self._boughs[area]) + (1 - leaves) * own.bark
+            inside = inside & solid
         ground.height[area] = np.where(inside, top, ground.height[area])
-        ground.albedo[area] = np.where(inside, np.clip(tone, 0.02, 0.2), ground.albedo[area])
+        ground.albedo[area] = np.where(inside, tone, ground.albedo[area])
         near = ndimage.binary_dilation(inside, iterations=2)
         ground.wall_albedo[area] = np.where(near, np.float32(tree.tone), ground.wall_albedo[area])
         material[area][inside] = SHEDDING if tree.sheds else EVERGREEN

@@ -78,9 +78,6 @@ class DistrictParameters(Parameters):
     """Day of the year, and the share of grass that is green."""
     dry_grass: float = 1.6  # albedo of dry over green grass (ASTER spectral library: 0.12 to 0.2 against 0.08 to 0.1)
     shedding: float = 0.5  # share of trees that shed their leaves
-    leaf_area: Tuple[float, float] = (4.0, 0.9)  # plant area with and without leaves: the gaps are exp(-index / 2)
-    bough_m: float = 2.0  # longest wavelength of the gaps between boughs
-    bark: float = 0.10  # albedo of boughs without leaves
     occupied: float = 0.6  # share of stalls and of places on roads with a car
     street_cars: float = 0.25
     tone_black: float = 0.85  # black over the intensity that 0.2 % of pixels are below: no shadow is black in chips

@@ -92,6 +92,21 @@ class TownParameters(Parameters):
     flats: Tuple[Tuple[float, float], ...] = ((0.3, 0.004), (0.17, 0.012), (0.42, 0.006), (0.24, 0.02), (0.29, 0.03))
     """Albedo and contrast of flat roofs; the first are nearly plain."""
     wall_m: float = 0.9  # nodes that differ by more have a vertical wall between them
+    relief_m: float = 3.0  # standard deviation of the terrain, in waves of 120 to 500 m
+
+
+@dataclass(frozen=True)
+class SeasonParameters(Parameters):
+    """What all seasons have in common."""
+
+    leaf_area: Tuple[float, float] = (4.0, 0.9)  # plant area with and without leaves: the gaps are exp(-index / 2)
+    bough_m: float = 2.0  # longest wavelength of the gaps between boughs
+    bark: float = 0.10  # albedo of boughs without leaves
+    own_m: float = 8.0  # longest wavelength of the texture that is a date's own
+    snow: float = 0.75  # albedo of snow that is some days old
+    snow_m: Tuple[float, float] = (60.0, 5.0)  # longest and shortest wavelength of its patches
+    snow_sun: float = 2.0  # deviations of chance that the whole noon sun weighs, which melts it
+    snow_roof: float = 1.0  # and a warm roof
 
 
 @dataclass(frozen=True)
@@ -105,6 +120,10 @@ class SimulationParameters(Parameters):
     control: SimulatedGcpParameters = SimulatedGcpParameters()
     jitter: JitterParameters = JitterParameters()
     town: TownParameters = TownParameters()
+    farmland: TownParameters = TownParameters(
+        block_m=(180.0, 130.0), street_m=9.0, roadway_m=2.0, turn_deg=31.0, relief_m=14.0
+    )
+    season: SeasonParameters = SeasonParameters()
 
 
 SIMULATION = SimulationParameters()

@@ -2,7 +2,8 @@
 
 Files: ``img_01.tif``...: uint16 GeoTIFF with RPC tags and no other georeference. ``truth.tif``: the DSM where all
 views see the ground. ``gcps.csv``: points with their true ground position and noisy image position. ``truth.json``:
-seed, sensor, the pointing error of each RPC, and versions. Same seed and size: same bytes.
+seed, sensor, the pointing error of each RPC, and versions. With seasons, ``bare.tif``: the true surface without crowns
+that shed their leaves, which is as right as ``truth.tif`` there. Same seed and size: same bytes.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import json
 import math
 import os
 from dataclasses import dataclass, replace
-from typing import Dict, List, Sequence, Tuple
+from typing import Dict, List, Mapping, Sequence, Tuple
 
 import numpy as np
 from osgeo import gdal, osr
@@ -27,15 +28,16 @@ from ..pointing.ground_control import Gcp, write_gcps
 from ..rpc.fit import RpcFit, fit_rpc
 from ..rpc.model import Rpc
 from ..rpc.writers import rpc_tags
-from ..runtime.progress import Part, Progress
+from ..runtime.progress import Part, Progress, Silent
 from ..runtime.workspace import ensure_folder, write_text
 from .gcps import choose_gcps, common_square
 from .mountains import build_mountains
 from .parameters import SIMULATION, JitterParameters, SimulationParameters, VendorParameters
 from .render import render_view
+from .seasons import Season, daylight, in_season, sun_at
 from .sensor import PLEIADES, JitterSine, PushbroomView, Sensor, aim
-from .surface import Ground, SimulatedSurface, Sun
-from .town import Town
+from .surface import Cover, Ground, SimulatedSurface, Sun
+from .town import Farmland, Town
 
 _STRIP_ROWS = 256  # of the true DSM that are written together
 
@@ -44,19 +46,20 @@ _STRIP_ROWS = 256  # of the true DSM that are written together
 class SceneSpec:
     """What to simulate."""
 
-    kind: str  # urban or mountains
+    kind: str  # urban, mountains or farmland
     size: int  # side of the images, px
     seed: int
     sensor: Sensor
     cell_m: float  # of the true DSM
     surface_step: int  # surface nodes a cell of the true DSM
-    base_m: float  # lowest height (mountains) or mean height (urban) of the ground above the ellipsoid
+    base_m: float  # lowest height (mountains) or mean height (others) of the ground above the ellipsoid
     relief_m: float  # of mountains
     lon: float = 1.44  # degrees, the middle of the images
     lat: float = 43.60
     heading_deg: float = 191.0  # of the flight
     sun: Sun = Sun()
     jitter_px: float = 0.0  # largest amplitude of a wave of the attitude that the RPCs do not know
+    seasons: Tuple[Season, ...] = ()  # one a view, for towns and farmland; none: all have one date, and ``sun``
 
     @classmethod
     def default(cls, kind: str, size: int, seed: int) -> SceneSpec:
@@ -81,7 +84,11 @@ class SceneSpec:
         """Heights that the surface never leaves, m."""
         if self.kind == "mountains":
             return self.base_m - 50.0, self.base_m + self.relief_m + 50.0
-        return self.base_m - 30.0, self.base_m + 90.0
+        return (
+            (self.base_m - 30.0, self.base_m + 90.0)
+            if self.kind == "urban"
+            else (self.base_m - 70.0, self.base_m + 90.0)
+        )
 
 
 def make_views(spec: SceneSpec, parameters: JitterParameters = SIMULATION.jitter) -> List[PushbroomView]:
@@ -134,16 +141,30 @@ def surface_bounds(spec: SceneSpec, views: Sequence[PushbroomView]) -> Bounds:
     return Bounds.between(every.min(axis=0) - margin, every.max(axis=0) + margin)
 
 
-def make_surface(
-    spec: SceneSpec, bounds: Bounds, progress: Progress, parameters: SimulationParameters = SIMULATION
-) -> SimulatedSurface:
-    """The spec's ground over bounds in its UTM zone."""
+def make_ground(
+    spec: SceneSpec,
+    bounds: Bounds,
+    progress: Progress,
+    parameters: SimulationParameters = SIMULATION,
+    trees: bool = True,
+) -> Ground:
+    """The spec's ground over bounds in its UTM zone, or what is below the trees of its town or farmland."""
     ground = Ground.empty(bounds, spec.cell_m / spec.surface_step)
     progress.step(0.1, spec.kind)
     if spec.kind == "mountains":
         build_mountains(ground, spec.base_m, spec.relief_m, spec.seed, progress)
+    elif spec.kind == "farmland":
+        Farmland(ground, spec.base_m, spec.seed, progress, parameters.farmland, trees).build()
     else:
-        Town(ground, spec.base_m, spec.seed, progress, parameters.town).build()
+        Town(ground, spec.base_m, spec.seed, progress, parameters.town, trees).build()
+    return ground
+
+
+def make_surface(
+    spec: SceneSpec, bounds: Bounds, progress: Progress, parameters: SimulationParameters = SIMULATION
+) -> SimulatedSurface:
+    """The spec's ground in the light of its sun."""
+    ground = make_ground(spec, bounds, progress, parameters)
     progress.step(0.7, "light of the sun")
     wall_m = math.inf if spec.kind == "mountains" else parameters.town.wall_m
     return ground.finish(spec.crs, spec.sun, wall_m, parameters.light)
@@ -157,11 +178,12 @@ def write_image(
     seed: int,
     progress: Progress,
     parameters: SimulationParameters = SIMULATION,
+    metadata: Mapping[str, str] = {},
 ) -> None:
     """Render a view strip by strip into a tiled GeoTIFF with RPC tags; raises WorkspaceError, Cancelled."""
     _drop_sidecar(path)
-    frame = RasterFrame(view.size[::-1], np.uint16)
-    with created(path, frame, nodata=None, descriptions=("panchromatic",), compress=False) as dataset:
+    frame, names = RasterFrame(view.size[::-1], np.uint16), ("panchromatic",)
+    with created(path, frame, nodata=None, descriptions=names, metadata=metadata, compress=False) as dataset:
         dataset.set_metadata(rpc_tags(rpc), "RPC")
         for first, strip in render_view(surface, view, seed, progress, parameters.render):
             dataset.write(strip, 0, first)
@@ -256,7 +278,8 @@ def make_scene(
     """
     folder = str(ensure_folder(os.path.abspath(folder)))
     views = make_views(spec, parameters.jitter)
-    surface = make_surface(spec, surface_bounds(spec, views), Part(progress, 0.0, 0.35), parameters)
+    bounds = surface_bounds(spec, views)
+    surface = make_surface(spec, bounds, Part(progress, 0.0, 0.35), parameters)
     progress.check_cancelled()
     progress.step(0.35, "RPCs and control points")
     fits = fit_view_rpcs(views, surface.height_range(), parameters)
@@ -266,13 +289,22 @@ def make_scene(
     truth, gcp_file = os.path.join(folder, "truth.tif"), os.path.join(folder, "gcps.csv")
     write_truth(truth, surface, square, spec.surface_step)
     write_gcps(gcp_file, gcps)
+    if spec.seasons:
+        ground, below = (make_ground(spec, bounds, Silent(), parameters, trees) for trees in (True, False))
+        bare = np.where(ground.cover == Cover.SHEDDING, below.height, ground.height)
+        write_truth(os.path.join(folder, "bare.tif"), replace(surface, height=bare), square, spec.surface_step)
     images = []
     for number, (view, fit, bias) in enumerate(zip(views, fits, biases)):
         part = Part(progress, 0.4 + 0.6 * number / len(views), 0.4 + 0.6 * (number + 1) / len(views), view.name)
         images.append(os.path.join(folder, f"{view.name}.tif"))
         # Moving the image by -bias is the same as moving its RPC's projections by +bias.
-        rpc = fit.rpc.shifted(-bias[0], -bias[1])
-        write_image(images[-1], view, rpc, surface, spec.seed + number, part, parameters)
+        rpc, seen, metadata = fit.rpc.shifted(-bias[0], -bias[1]), surface, {}
+        if spec.seasons:
+            season, place = spec.seasons[number], (spec.lon, spec.lat)
+            sun, metadata = sun_at(season.utc, spec.lon, spec.lat), {"NITF_IDATIM": season.utc}
+            dated = in_season(ground, below, season, place, spec.seed, parameters)
+            seen = dated.finish(spec.crs, sun, surface.wall_m, daylight(sun, parameters.light))
+        write_image(images[-1], view, rpc, seen, spec.seed + number, part, parameters, metadata)
     record = _record(spec, views, fits, biases, surface, gcps, parameters.control.noise_px)
     write_text(os.path.join(folder, "truth.json"), json.dumps(record, indent=1, allow_nan=False) + "\n")
     progress.step(1.0, "done")

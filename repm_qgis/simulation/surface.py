@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Optional, Tuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from ..contracts.arrays import Bounds, FloatArray, FloatImage, IntArray
@@ -20,6 +22,20 @@ from .parameters import SIMULATION, LightParameters
 
 Area = Tuple[slice, slice]
 Shape = Tuple[int, ...]
+Codes = NDArray[np.uint8]
+
+
+class Cover(IntEnum):
+    """What covers a node of the ground: plants and soil, streets, roofs, and crowns that keep or shed their leaves."""
+
+    GRASS = 0
+    SOIL = 1
+    WINTER_CROPS = 2
+    SUMMER_CROPS = 3
+    STREET = 4
+    ROOF = 5
+    EVERGREEN = 6
+    SHEDDING = 7
 
 
 @dataclass(frozen=True)
@@ -246,6 +262,7 @@ class Ground:
     height: FloatImage
     albedo: FloatImage
     wall_albedo: FloatImage
+    cover: Codes  # values of Cover, which a town fills in
 
     @classmethod
     def empty(cls, bounds: Bounds, cell: float) -> Ground:
@@ -253,7 +270,8 @@ class Ground:
         west, north = math.floor(bounds[0] / cell) * cell, math.ceil(bounds[3] / cell) * cell
         shape = (int(math.ceil((north - bounds[1]) / cell)) + 1, int(math.ceil((bounds[2] - west) / cell)) + 1)
         height, albedo, walls = (np.zeros(shape, np.float32) for _ in range(3))
-        return cls(west, north, cell, height=height, albedo=albedo, wall_albedo=walls)
+        cover = np.zeros(shape, np.uint8)
+        return cls(west, north, cell, height=height, albedo=albedo, wall_albedo=walls, cover=cover)
 
     def patch(self, east: float, north: float, radius: float) -> Optional[Tuple[Area, FloatArray, FloatArray]]:
         """Slices of the nodes in a square around a position, and their metres east and north of it; None outside."""

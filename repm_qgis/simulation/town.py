@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ..contracts.arrays import FloatArray, Mask
 from ..runtime.progress import Progress
 from .parameters import SIMULATION, TownParameters
-from .surface import Area, Ground, fractal
+from .surface import Area, Cover, Ground, fractal
 
 Place = Tuple[float, float]
 Finish = Optional[Tuple[float, float]]
@@ -24,16 +24,23 @@ Footprint = Tuple[Area, FloatArray, FloatArray, Mask]
 class Town:
     """Builds on gentle ground around ``base`` metres; the same arguments give the same town.
 
-    ``u, v`` are metres along the town's own axes.
+    ``u, v`` are metres along the town's own axes. ``trees``: without them, there is what stands and lies below crowns.
     """
 
     def __init__(
-        self, ground: Ground, base: float, seed: int, progress: Progress, parameters: TownParameters = SIMULATION.town
+        self,
+        ground: Ground,
+        base: float,
+        seed: int,
+        progress: Progress,
+        parameters: TownParameters = SIMULATION.town,
+        trees: bool = True,
     ) -> None:
         rng = np.random.default_rng([seed, 2])
         self._ground, self._rng, self._progress, self._parameters = ground, rng, progress, parameters
+        self._planted = trees
         shape, cell = ground.height.shape, ground.cell
-        ground.height[:] = np.float32(base) + 3.0 * fractal(rng, shape, cell, 500.0, 120.0)
+        ground.height[:] = np.float32(base) + parameters.relief_m * fractal(rng, shape, cell, 500.0, 120.0)
         self._terrain = ground.height.copy()
         self._fine = fractal(rng, shape, cell, 6.0, 0.0, 0.2)
         self._broad = fractal(rng, shape, cell, 60.0, 2.0, 0.5)
@@ -81,6 +88,7 @@ class Town:
         albedo = np.where(pavement, 0.19 + 0.012 * self._fine, yard)
         albedo = np.where(street, 0.088 + 0.008 * self._broad + 0.006 * self._fine, albedo)
         ground.albedo[:] = np.clip(np.where(marks & street, 0.20, albedo), 0.02, 0.7)
+        ground.cover[:] = np.where(pavement, Cover.STREET, np.where(self._broad < -0.8, Cover.SOIL, Cover.GRASS))
         ground.height -= np.where(street, np.float32(0.12), np.float32(0))
         ground.wall_albedo[:] = np.clip(0.3 + 0.08 * self._broad, 0.12, 0.6)
 
@@ -126,7 +134,7 @@ class Town:
     def _park(self, centre: Place, inner: Place) -> None:
         self._paint(centre, (inner[0] / 2, inner[1] / 2), 0.11, 0.012)
         self._trees(70, centre, inner, 0.48, 0.48)
-        self._paint(centre, (inner[0] / 2, 1.5), 0.26, 0.01)
+        self._paint(centre, (inner[0] / 2, 1.5), 0.26, 0.01, Cover.STREET)
 
     def _field(self, centre: Place, inner: Place) -> None:
         """A plain sports field: texture near the noise, with marked lines."""
@@ -139,7 +147,7 @@ class Town:
         """A large plain roof with skylights, and a car park."""
         half = (inner[0] * 0.31, inner[1] * 0.42)
         place = (centre[0] - inner[0] * 0.17, centre[1])
-        self._paint(centre, (inner[0] / 2, inner[1] / 2), 0.105, 0.008)
+        self._paint(centre, (inner[0] / 2, inner[1] / 2), 0.105, 0.008, Cover.STREET)
         self._flat(place, half, 9.0, finish=(0.36, 0.004), boxes=0)
         for k in range(-2, 3):
             self._flat((place[0] + k * half[0] / 2.8, place[1]), (1.2, half[1] * 0.7), 9.8, (0.5, 0.004), 0, 0.0)
@@ -181,14 +189,15 @@ class Town:
         inside = (np.abs(u) <= half[0]) & (np.abs(v) <= half[1])
         return (area, u, v, inside) if inside.any() else None
 
-    def _paint(self, place: Place, half: Place, albedo: float, contrast: float) -> None:
-        """Give a rectangle of ground another albedo, with its own share of the fine texture."""
+    def _paint(self, place: Place, half: Place, albedo: float, contrast: float, cover: Cover = Cover.GRASS) -> None:
+        """Give a rectangle of ground another albedo and cover, with its own share of the fine texture."""
         found = self._footprint(place, half)
         if found is None:
             return
         area, _, _, inside = found
         tone = albedo + contrast * (self._fine[area] + 0.7 * self._broad[area])
         self._ground.albedo[area] = np.where(inside, np.clip(tone, 0.02, 0.7), self._ground.albedo[area])
+        self._ground.cover[area][inside & (self._ground.cover[area] < Cover.ROOF)] = cover
 
     def _flat(
         self, place: Place, half: Place, tall: float, finish: Finish = None, boxes: int = 3, rim_m: float = 0.6
@@ -235,6 +244,7 @@ class Town:
         ground = self._ground
         ground.height[area] = np.where(inside, height, ground.height[area])
         ground.albedo[area] = np.where(inside, np.clip(tone, 0.03, 0.7), ground.albedo[area])
+        ground.cover[area][inside] = Cover.ROOF
 
     def _trees(self, count: int, centre: Place, inner: Place, across: float, along: float) -> None:
         """Trees at random within these shares of a block's sides from its centre."""
@@ -248,7 +258,7 @@ class Town:
         tall = 1.1 * radius + scale * self._draw(1.0, 4.5)
         tone = self._draw(0.055, 0.085)
         patch = self._ground.patch(*self._map(u, v), radius)
-        if patch is None:
+        if patch is None or not self._planted:
             return
         area, x, y = patch
         ground, terrain = self._ground, self._terrain[area]
@@ -260,6 +270,8 @@ class Town:
         ground.height[area] = np.where(inside, terrain + np.maximum(skin, 0.5), ground.height[area])
         leaves = np.clip(tone + 0.015 * self._fine[area], 0.02, 0.2)
         ground.albedo[area] = np.where(inside, leaves, ground.albedo[area])
+        # Evergreens are the darker ones.
+        ground.cover[area][inside] = Cover.SHEDDING if tone > 0.065 else Cover.EVERGREEN
 
     def _car(self, u: float, v: float, along_u: bool) -> None:
         tone = float(self._rng.choice([0.05, 0.10, 0.22, 0.45, 0.60]))
@@ -270,3 +282,29 @@ class Town:
         if float((self._ground.height[area] - self._terrain[area]).max()) > 1.0:
             return
         self._put(area, inside, self._terrain[area] + 1.4, np.float32(tone))
+        self._ground.cover[area][inside] = Cover.STREET
+
+
+class Farmland(Town):
+    """Hills with fields, hedges and woods between tracks, and here and there a farm."""
+
+    def _block(self, i: int, j: int) -> None:
+        """One block between four tracks: strips of fields with a hedge along one side, or a wood."""
+        width, depth = self._parameters.block_m
+        centre = ((i + 0.5) * width, (j + 0.5) * depth)
+        inner = (width - self._parameters.street_m, depth - self._parameters.street_m)
+        kind = (3 * i + 5 * j + 2) % 11
+        if kind == 0:
+            self._trees(int(inner[0] * inner[1] / 45), centre, inner, 0.5, 0.5)
+            return
+        count = int(self._rng.integers(2, 6))
+        for k in range(count):
+            place = (centre[0] + ((k + 0.5) / count - 0.5) * inner[0], centre[1])
+            cover = Cover(int(self._rng.integers(Cover.GRASS, Cover.STREET)))
+            self._paint(place, (inner[0] / count / 2, inner[1] / 2), 0.11, 0.012, cover)
+        self._trees(int(inner[0] / 6), (centre[0], centre[1] + inner[1] / 2), inner, 0.48, 0.02)
+        self._trees(4, centre, inner, 0.45, 0.45)
+        if kind in (3, 7):
+            for u in (-20.0, 0.0, 18.0):
+                place = (centre[0] + u, centre[1] + self._draw(-9, 9))
+                self._gabled(place, (self._draw(5, 9), self._draw(4, 6)), self._draw(3, 6))

@@ -105,7 +105,7 @@ def test_rough_crowns_have_gaps_and_each_its_own_shape(district):
             crown[found[0]] |= found[2]
     crown &= kinds != CAR
     leaves = np.isin(kinds, (SHEDDING - 1, SHEDDING))
-    assert 1 - leaves[crown].mean() == pytest.approx(math.exp(-OWN.leaf_area[0] / 2), abs=0.06)  # Beer's law
+    assert 1 - leaves[crown].mean() == pytest.approx(math.exp(-DATED.season.leaf_area[0] / 2), abs=0.06)  # Beer's law
     top, classes = district.truth(SUMMER, REAL)
     assert (top[crown] >= ground.height[crown] - 1e-3).all() and (classes[crown] == 5).all()
     shapes = [district.crown(replace(trees[0], seed=seed), True)[1] for seed in (1, 2)]
