@@ -23,7 +23,7 @@ from repm_qgis.simulation.sensor import ZY3
 
 SHARED = Path(os.environ.get("REPM_SHARED_DATA", ROOT.parent / "shared" / "data"))
 CACHE = Path(os.environ.get("REPM_BENCH_CACHE", Path(tempfile.gettempdir()) / "repm_bench"))
-_QUICK_PX = {"PLEIADES": 400, "ZY3": 900}  # less has too few tie points
+_QUICK_PX = {"PLEIADES": 400, "NEO": 700, "ZY3": 900}  # less has too few tie points
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,14 @@ import csv
 import os
 import tempfile
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Dict, List, Sequence, Tuple
 
 import numpy as np
 from scipy import ndimage
 
+from benchmarks import season_scenes
 from benchmarks.runner import ROOT, earlier, few, is_quick, made_by, pipeline, say, stage
 from benchmarks.scenes import CACHE, SHARED, default, made_once, middle_of, real
 from benchmarks.simulated.dates import WORLDVIEW3_JACKSONVILLE, DatedSpec, make_dated_scene
@@ -110,7 +112,7 @@ def _rows(label: str, names: Sequence[str]) -> List[List[object]]:
     """The DSM of some images with its holes, and with holes interpolated."""
     images = _images(names)
     with tempfile.TemporaryDirectory() as folder:
-        dsm, cost = _made(images, folder)
+        dsm, cost = _made(images, folder, **quick_area())
         full = stage(DSMFUSE, scene=f"{folder}/w/reconstructed.json", output=f"{folder}/full.tif", fill="all").output
         return [[label, "", *_scores(dsm, _LIDAR), cost], [label, "FILL = all", *_scores(full, _LIDAR), ""]]
 
@@ -219,7 +221,7 @@ def _aligned_otherwise(dsm: str, by: float) -> List[List[float]]:
         return [_c1_mae_rmse(warper.read(grid, alignment) - heights) for alignment in moved]
 
 
-def quick_area() -> Dict[str, object]:
+def quick_area() -> Dict[str, Any]:
     """Options of the pipeline for a quick run: a part of the lidar's area."""
     return middle_of(_LIDAR.heights) if is_quick() else {}
 
@@ -230,7 +232,11 @@ def limits() -> List[str]:
     with opened(_LIDAR.heights) as dataset:
         truth, cell = read(dataset), dataset.GetGeoTransform()[1]
     lost, names = _mid_air(truth, cell), _names()
-    sets = {"19 images": names, "dates 1, 3, 5, ...": names[::2], "dates 2, 4, 6, ...": names[1::2]}
+    sets = {
+        "19 images": names[: 2 if is_quick() else None],
+        "dates 1, 3, 5, ...": names[::2],
+        "dates 2, 4, 6, ...": names[1::2],
+    }
     rows = [[label, *_c1_mae_rmse(ideal - truth)] for label, ideal in _ideal(truth, cell).items()]
     errors: Dict[str, np.ndarray] = {}
     spread: List[List[float]] = []
@@ -268,7 +274,8 @@ def _run(names: Sequence[str], contrast: float) -> List[float]:
     ties = replace(TIES, keypoints=replace(TIES.keypoints, contrast=contrast))
     pointing = replace(ENGINE.pointing, ties=ties)
     with tempfile.TemporaryDirectory() as folder:
-        dsm = pipeline(_images(names), folder, Silent(), replace(ENGINE, pointing=pointing), resolution=0.5).output
+        options = {"resolution": 0.5, **quick_area()}
+        dsm = pipeline(_images(names), folder, Silent(), replace(ENGINE, pointing=pointing), **options).output
         return _c1_mae_rmse(score_files(dsm, _LIDAR.heights, "3d").error)
 
 
@@ -299,17 +306,18 @@ def quality() -> List[str]:
     """Each value of QUALITY on real and simulated scenes."""
     cases: List[Tuple[str, List[str], str, str]] = []
     if _FOLDER.exists():
-        for label, names in (("6 images", _names()[:6]), ("3, January", list(_JANUARY))):
+        for label, names in (("6 images", _names()[: 3 if is_quick() else 6]), ("3, January", list(_JANUARY))):
             images = _images(names)
             cases.append((f"`jax_068`, {label}", images, _LIDAR.heights, "3d"))
-    scenes = [*real("truth_urban", "pleiades_pair"), default("urban", 800, 4), default("mountains", 400, 7)]
-    cases += [(f"`{scene.name}`", list(scene.images), scene.reference, "cells") for scene in scenes]
+    if not (cases and is_quick()):
+        scenes = [*real("truth_urban", "pleiades_pair"), default("urban", 800, 4), default("mountains", 400, 7)]
+        cases += [(f"`{scene.name}`", list(scene.images), scene.reference, "cells") for scene in scenes]
     rows = []
     for label, images, reference, align in few(cases):
         for value in few(QUALITIES):
             say(f"{label}, {value} ...")
             with tempfile.TemporaryDirectory() as folder:
-                dsm, cost = _made(images, folder, quality=value)
+                dsm, cost = _made(images, folder, quality=value, **(quick_area() if align == "3d" else {}))
                 m = score_files(dsm, reference, align).metrics
                 rows.append([label, value, m.valid, dict(m.completeness)[1.0], m.mae, m.rmse, m.nmad, cost])
     return [
@@ -345,18 +353,19 @@ def _simulated_scene(name: str, dates: int, changes: Dict[str, Any]) -> Path:
     """
     spec = DatedSpec(acquisitions=WORLDVIEW3_JACKSONVILLE[:dates])
     if is_quick():
-        dates, spec = 2, replace(spec, side_m=128.0, acquisitions=spec.acquisitions[:2])
+        dates, spec = 2, replace(spec, side_m=96.0, acquisitions=spec.acquisitions[:2])
     every = replace(DATED, effects=replace(REAL, **changes))
     folder = CACHE / f"district_{dates}_{name.replace(' ', '_').replace(',', '')}"
     return made_once(folder, lambda: make_dated_scene(spec, str(folder), Silent(), every))
 
 
-def _simulated_row(labels: Sequence[str], scene: Path, chosen: Sequence[int], tree: Path = ROOT) -> List[object]:
-    say(f"{' '.join(labels)} ...")
+@lru_cache(maxsize=None)  # in a quick run, one scene is all of them
+def _simulated_figures(scene: Path, chosen: Tuple[int, ...], tree: Path) -> List[float]:
+    say(f"{scene.name}, {len(chosen)} images ...")
     images = [str(scene / f"img_{number + 1:02d}.tif") for number in chosen]
     with tempfile.TemporaryDirectory() as folder:
         dsm, cost = _made(images, folder, tree)
-        return [*labels, *_scores(dsm, Truth(str(scene / "truth.tif"), str(scene / "classes.tif"))), cost]
+        return [*_scores(dsm, Truth(str(scene / "truth.tif"), str(scene / "classes.tif"))), cost]
 
 
 def simulated() -> List[str]:
@@ -365,13 +374,13 @@ def simulated() -> List[str]:
     with tempfile.TemporaryDirectory() as place:
         trees = [(f"before ({BEFORE})", earlier(BEFORE, Path(place))), ("now", ROOT)]
         compared = [
-            _simulated_row((label, when), scene, chosen, tree)
+            [label, when, *_simulated_figures(scene, tuple(chosen), tree)]
             for label, chosen in sets
             for when, tree in trees
             if tree is not None
         ]
     single = [
-        _simulated_row((label, name), _simulated_scene(name, 6, changes), _SIMULATED_SETS[label])
+        [label, name, *_simulated_figures(_simulated_scene(name, 6, changes), tuple(_SIMULATED_SETS[label]), ROOT)]
         for label in few(("2", "6"))
         for name, changes in few(list(_WITHOUT.items()))
     ]
@@ -397,4 +406,10 @@ SECTIONS = [
     ),
     Section("quality", "What QUALITY costs and gives", "make bench-towns", {"quality": quality}),
     Section("district", "A simulated town of many dates", "make bench-towns", {"simulated": simulated}),
+    Section(
+        "season_scenes",
+        "Simulated scenes of two seasons",
+        "make bench-towns",
+        {"seasons": season_scenes.seasons},
+    ),
 ]
