@@ -2,7 +2,7 @@
 
 Tuned was one number, the share of the texture that is a date's own (``Tone.own``): so that a town without snow in the
 sun of 006 and 018 of `jax_068` has their correlations, which are 0.18 / 0.53 / 0.81 (quartiles); it has 0.19 / 0.55 /
-0.80, and for patches of 1.5, 10 and 20 m within 0.15 of theirs. The town below has snow and a lower sun besides, and a
+0.80, and for patches of 1.5, 10 and 20 m within 0.18 of theirs. The town below has snow and a lower sun besides, and a
 little less of it.
 """
 

@@ -10,7 +10,7 @@ import csv
 import os
 import tempfile
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any, Dict, List, Sequence, Tuple
 
@@ -359,7 +359,7 @@ def _simulated_scene(name: str, dates: int, changes: Dict[str, Any]) -> Path:
     return made_once(folder, lambda: make_dated_scene(spec, str(folder), Silent(), every))
 
 
-@lru_cache(maxsize=None)  # in a quick run, one scene is all of them
+@cache  # in a quick run, one scene is all of them
 def _simulated_figures(scene: Path, chosen: Tuple[int, ...], tree: Path) -> List[float]:
     say(f"{scene.name}, {len(chosen)} images ...")
     images = [str(scene / f"img_{number + 1:02d}.tif") for number in chosen]

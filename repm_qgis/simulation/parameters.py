@@ -93,6 +93,7 @@ class TownParameters(Parameters):
     """Albedo and contrast of flat roofs; the first are nearly plain."""
     wall_m: float = 0.9  # nodes that differ by more have a vertical wall between them
     relief_m: float = 3.0  # standard deviation of the terrain, in waves of 120 to 500 m
+    trees: bool = True  # without them, there is what stands and lies below the crowns of the same town
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from ..pointing.ground_control import Gcp, write_gcps
 from ..rpc.fit import RpcFit, fit_rpc
 from ..rpc.model import Rpc
 from ..rpc.writers import rpc_tags
-from ..runtime.progress import Part, Progress, Silent
+from ..runtime.progress import Part, Progress
 from ..runtime.workspace import ensure_folder, write_text
 from .gcps import choose_gcps, common_square
 from .mountains import build_mountains
@@ -84,11 +84,7 @@ class SceneSpec:
         """Heights that the surface never leaves, m."""
         if self.kind == "mountains":
             return self.base_m - 50.0, self.base_m + self.relief_m + 50.0
-        return (
-            (self.base_m - 30.0, self.base_m + 90.0)
-            if self.kind == "urban"
-            else (self.base_m - 70.0, self.base_m + 90.0)
-        )
+        return self.base_m - (30.0 if self.kind == "urban" else 70.0), self.base_m + 90.0
 
 
 def make_views(spec: SceneSpec, parameters: JitterParameters = SIMULATION.jitter) -> List[PushbroomView]:
@@ -142,21 +138,16 @@ def surface_bounds(spec: SceneSpec, views: Sequence[PushbroomView]) -> Bounds:
 
 
 def make_ground(
-    spec: SceneSpec,
-    bounds: Bounds,
-    progress: Progress,
-    parameters: SimulationParameters = SIMULATION,
-    trees: bool = True,
+    spec: SceneSpec, bounds: Bounds, progress: Progress, parameters: SimulationParameters = SIMULATION
 ) -> Ground:
-    """The spec's ground over bounds in its UTM zone, or what is below the trees of its town or farmland."""
+    """The spec's ground over bounds in its UTM zone."""
     ground = Ground.empty(bounds, spec.cell_m / spec.surface_step)
     progress.step(0.1, spec.kind)
     if spec.kind == "mountains":
         build_mountains(ground, spec.base_m, spec.relief_m, spec.seed, progress)
-    elif spec.kind == "farmland":
-        Farmland(ground, spec.base_m, spec.seed, progress, parameters.farmland, trees).build()
     else:
-        Town(ground, spec.base_m, spec.seed, progress, parameters.town, trees).build()
+        town, plan = (Town, parameters.town) if spec.kind == "urban" else (Farmland, parameters.farmland)
+        town(ground, spec.base_m, spec.seed, progress, plan).build()
     return ground
 
 
@@ -290,7 +281,9 @@ def make_scene(
     write_truth(truth, surface, square, spec.surface_step)
     write_gcps(gcp_file, gcps)
     if spec.seasons:
-        ground, below = (make_ground(spec, bounds, Silent(), parameters, trees) for trees in (True, False))
+        plans = {name: replace(getattr(parameters, name), trees=False) for name in ("town", "farmland")}
+        part = Part(progress, 0.35, 0.4)
+        ground, below = (make_ground(spec, bounds, part, one) for one in (parameters, replace(parameters, **plans)))
         bare = np.where(ground.cover == Cover.SHEDDING, below.height, ground.height)
         write_truth(os.path.join(folder, "bare.tif"), replace(surface, height=bare), square, spec.surface_step)
     images = []

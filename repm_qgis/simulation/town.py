@@ -24,21 +24,14 @@ Footprint = Tuple[Area, FloatArray, FloatArray, Mask]
 class Town:
     """Builds on gentle ground around ``base`` metres; the same arguments give the same town.
 
-    ``u, v`` are metres along the town's own axes. ``trees``: without them, there is what stands and lies below crowns.
+    ``u, v`` are metres along the town's own axes.
     """
 
     def __init__(
-        self,
-        ground: Ground,
-        base: float,
-        seed: int,
-        progress: Progress,
-        parameters: TownParameters = SIMULATION.town,
-        trees: bool = True,
+        self, ground: Ground, base: float, seed: int, progress: Progress, parameters: TownParameters = SIMULATION.town
     ) -> None:
         rng = np.random.default_rng([seed, 2])
         self._ground, self._rng, self._progress, self._parameters = ground, rng, progress, parameters
-        self._planted = trees
         shape, cell = ground.height.shape, ground.cell
         ground.height[:] = np.float32(base) + parameters.relief_m * fractal(rng, shape, cell, 500.0, 120.0)
         self._terrain = ground.height.copy()
@@ -258,7 +251,7 @@ class Town:
         tall = 1.1 * radius + scale * self._draw(1.0, 4.5)
         tone = self._draw(0.055, 0.085)
         patch = self._ground.patch(*self._map(u, v), radius)
-        if patch is None or not self._planted:
+        if patch is None or not self._parameters.trees:
             return
         area, x, y = patch
         ground, terrain = self._ground, self._terrain[area]

@@ -56,7 +56,9 @@ def test_a_low_sun_has_less_light_and_the_sky_a_greater_share_of_it():
 @pytest.fixture(scope="module", params=["urban", "farmland"])
 def grounds(request):
     bounds = Bounds(374000.0, 4828500.0, 374280.0, 4828760.0)
-    return [make_ground(replace(SPEC, kind=request.param), bounds, Silent(), trees=trees) for trees in (True, False)]
+    bare = {name: replace(getattr(SIMULATION, name), trees=False) for name in ("town", "farmland")}
+    sets = SIMULATION, replace(SIMULATION, **bare)
+    return [make_ground(replace(SPEC, kind=request.param), bounds, Silent(), each) for each in sets]
 
 
 def test_a_season_changes_no_true_height_and_shows_crowns_or_what_is_below_them(grounds):
