@@ -56,7 +56,9 @@ def seasons() -> List[str]:
     return [
         "The western half of `jax_068` against lidar, and three simulated towns (leaves, grass, suns, cars of their "
         "dates); cells of 0.5 m, aligned in 3-D. First MATCHING_COST = intensity, then auto. C1: within 1 m, of all "
-        "cells. The rule of doubt was fitted on the simulated towns alone.",
+        "cells. The rule of doubt was fitted on the simulated towns alone, whose images are more alike than real ones: "
+        "correlations at true heights have the quartiles 0.34 / 0.80 / 0.99 and 0.33 / 0.92 / 0.99, real ones 0.18 / "
+        "0.53 / 0.81 and 0.18 / 0.59 / 0.86 (`season_scenes.alike`).",
         table(headers, rows),
     ]
 
