@@ -29,15 +29,10 @@ def ground_offsets(
 
     ``above`` (rows, columns) are a DSM's heights above the terrain in windows of it, m, with cells of these metres.
     """
-    from scipy import ndimage  # QGIS's own process may lack it
-
     parts: List[FloatArray] = []
     for heights, window in zip(above, windows):
-        factor = max(1, round(parameters.open_cell_m / abs(cell[0])))
-        coarse, side = block_means(heights, factor), factor * abs(cell[0])
-        known = np.isfinite(coarse)
-        width = 2 * max(1, round(parameters.open_width_m / 2 / side)) + 1
-        low = ndimage.grey_opening(np.where(known, coarse, np.float32(1e9)), size=(width, width))
+        coarse, low, factor = opened_surface(heights, cell, parameters)
+        known, side = np.isfinite(coarse), factor * abs(cell[0])
         with np.errstate(invalid="ignore"):
             rough = np.hypot(*np.gradient(coarse, side)) if min(coarse.shape) > 1 else np.full(coarse.shape, np.inf)
             smooth = (coarse - low < parameters.open_near_m) & (rough < parameters.open_gradient)
@@ -60,6 +55,20 @@ def ground_offsets(
         plane = np.linalg.solve(normal, weighted.T @ height)
     below = np.mean(whole < every @ plane - parameters.open_near_m)
     return np.asarray(design @ plane) if 100.0 * below < parameters.ground_percent else None
+
+
+def opened_surface(
+    heights: FloatImage, cell: Tuple[float, float], parameters: GateParameters = GATE
+) -> Tuple[FloatImage, FloatImage, int]:
+    """Means of a surface (rows, columns) with cells of these metres over blocks of so many cells, and what an opening
+    leaves of them."""
+    from scipy import ndimage  # QGIS's own process may lack it
+
+    factor = max(1, round(parameters.open_cell_m / abs(cell[0])))
+    coarse = block_means(heights, factor)
+    width = 2 * max(1, round(parameters.open_width_m / 2 / (factor * abs(cell[0])))) + 1
+    low = ndimage.grey_opening(np.where(np.isfinite(coarse), coarse, np.float32(1e9)), size=(width, width))
+    return coarse, low, factor
 
 
 def _lowest(height: FloatArray, share: float) -> float:

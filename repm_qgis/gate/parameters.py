@@ -35,6 +35,10 @@ class GateParameters(Parameters):
     most_displaced_m: float = 2.0  # between a terrain and a DSM; and so many cells
     most_displaced_cells: float = 2.0
     displaced_gain: float = 0.8  # of the misfit, at most, after the shift; otherwise it explains nothing
+    class_search_m: float = 60.0  # around a class raster's place, where it is looked for; at most a quarter of its side
+    most_unexplained: float = 0.6  # of the variance of heights by classes, at the best place: districts have 0.7 to 1
+    class_height_m: float = 10.0  # above the open ground, from which on heights are alike
+    least_class: float = 0.01  # share of the cells of a class that counts there
     least_shared: float = 0.65  # of the ground of the largest DSM that all dates have: two turned squares have 0.7
     least_year: int = 1957  # of the first satellite
 

@@ -17,6 +17,7 @@ from ..evaluation.comparison import Comparison, compare
 from ..evaluation.grids import Grid
 from ..evaluation.metrics import HeightMetrics
 from ..evaluation.profiles import read_lines
+from ..gate.classes import class_findings
 from ..gate.surfaces import Entry, surface_findings
 from ..imagery import raster
 from ..names import surface_title
@@ -43,7 +44,7 @@ def _all_compared(options: CompareDsmOptions, progress: Progress) -> CompareDsmR
         run, surface_findings([Entry("REFERENCE", options.reference), *entries], "it would be compared with itself")
     )
     ends = [0.9 * i / len(paths) for i in range(len(paths) + 1)]
-    found = [_compared(options, path, Part(progress, low, high)) for path, low, high in zip(paths, ends, ends[1:])]
+    found = [_compared(options, path, Part(run, low, high)) for path, low, high in zip(paths, ends, ends[1:])]
     warn_all(run, [*(finding for one in found for finding in one.warnings), *comparison_findings(found)])
     if options.error:
         write_style("dsm_error", options.error)
@@ -84,6 +85,8 @@ def _compared(options: CompareDsmOptions, path: str, progress: Progress) -> Comp
     with ExitStack() as stack:
         dsm, reference = _rasters(stack, path, options.reference, progress)
         classes = stack.enter_context(raster.opened(options.classes)) if options.classes else None
+        if classes is not None and path == options.dsm:
+            warn_all(progress, class_findings(reference, classes))
         lines = read_lines(options.profiles, Grid.of(reference)) if options.profiles else ()
         target = options.error if path == options.dsm else None
         error = stack.enter_context(_error_raster(target, reference)) if target else None
