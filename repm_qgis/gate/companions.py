@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import List, Optional, Tuple
+from typing import Callable, List, Optional, Tuple
 
 import numpy as np
 from osgeo import gdal
@@ -11,15 +11,18 @@ from ..contracts.arrays import FloatArray, FloatImage, Window
 from ..contracts.errors import ImageError, OverlapError
 from ..contracts.findings import Finding, as_percent
 from ..evaluation.comparison import sample_windows
-from ..evaluation.grids import Grid, HeightWarper, bounds_on, cell_metres, overlap
+from ..evaluation.grids import Grid, HeightWarper, bounds_on, cell_metres, cell_sides, overlap
 from ..evaluation.parameters import EVALUATION
 from ..imagery.confidence import confidence_bands
 from ..imagery.heights import read_heights, read_values
 from ..imagery.raster import opened
+from ..numerics.robust import NMAD_FACTOR
 from ..registration.solve import mode
 from .open_ground import ground_offsets
 from .parameters import GATE, GateParameters
 from .places import ROWS, displaced_by
+
+_FEW_ROWS = 64  # of a raster, for medians
 
 
 def confidence_findings(
@@ -35,12 +38,8 @@ def confidence_findings(
         band = confidence_bands(errors, option).error
         column, row = _place_on(Grid.of(heights), Grid.of(errors), option, whole)
         known, stated, alone, nothing = _counts(heights, errors, band, (column, row))
-    if nothing > parameters.most_unstated * max(stated, 1):
-        raise ImageError(
-            f"{as_percent(nothing / max(stated, 1))} of the expected errors of '{confidence}' are 0 or less, which no "
-            f"height has: give the raster that was written with the DSM, or leave {option} empty."
-        )
-    findings = []
+        _require_positive(nothing, stated, confidence, option, parameters)
+        findings = error_findings(heights, errors, band, option, parameters)
     without = 1.0 - stated / max(known, 1)
     if without > parameters.most_unstated:
         text = f"{as_percent(without)} of the heights of '{dsm}' have no expected error in '{confidence}'"
@@ -50,6 +49,50 @@ def confidence_findings(
         text = f"{as_percent(strange)} of the expected errors of '{confidence}' belong to no height of '{dsm}'"
         findings.append(Finding("confidence-of-other", f"{text}: check that it was written with this DSM.", "doubt"))
     return findings
+
+
+def error_findings(
+    dsm: gdal.Dataset, confidence: gdal.Dataset, band: int, option: str, parameters: GateParameters = GATE
+) -> List[Finding]:
+    """Whether the expected errors in this band of a raster can be those of a DSM's heights, whatever its cells: heights
+    vary by their errors at least, so far larger ones are of another unit.
+
+    Raises ImageError where errors are negative.
+    """
+    path = confidence.GetDescription()
+    errors = _rows(confidence, lambda window: read_values(confidence, window, band))
+    _require_positive(int((errors < 0.0).sum()), errors.size, path, option, parameters)
+    step = parameters.variation_cells
+    bends = _rows(dsm, lambda window: np.diff(read_heights(dsm, window)[:, ::step], 2))
+    if not errors.size or not bends.size:
+        return []
+    usual, varies = float(np.median(errors)), NMAD_FACTOR * float(np.median(np.abs(bends))) / np.sqrt(6.0)
+    least = max(parameters.least_unlikely_m, parameters.least_unlikely_cells * max(cell_sides(Grid.of(dsm))))
+    if usual <= min(max(parameters.most_error_variations * varies, least), parameters.most_error_m):
+        return []
+    text = (
+        f"The median of the expected errors of '{path}' is {usual:.1f} m, and the heights of '{dsm.GetDescription()}' "
+        f"vary by {varies:.2f} m over {step} cells"
+    )
+    return [Finding("errors-unlikely", f"{text}: check that the unit of the errors is the metre.", "doubt")]
+
+
+def _rows(dataset: gdal.Dataset, read: Callable[[Window], FloatImage]) -> FloatArray:
+    """The known values of some rows of a raster, spread evenly over it."""
+    columns, rows = dataset.RasterXSize, dataset.RasterYSize
+    chosen = np.unique(np.linspace(0, rows - 1, min(rows, _FEW_ROWS)).astype(int))
+    values = np.concatenate([read(Window(0, int(row), columns, 1)).ravel() for row in chosen])
+    known: FloatArray = values[np.isfinite(values)].astype(np.float64)
+    return known
+
+
+def _require_positive(nothing: int, stated: int, path: str, option: str, parameters: GateParameters) -> None:
+    """Raise ImageError where more than single ones of the stated errors are not above 0."""
+    if nothing > parameters.most_unstated * max(stated, 1):
+        raise ImageError(
+            f"{as_percent(nothing / max(stated, 1))} of the expected errors of '{path}' are 0 or less, which no "
+            f"height has: give the raster that was written with the DSM, or leave {option} empty."
+        )
 
 
 def _place_on(dsm: Grid, confidence: Grid, option: str, whole: bool) -> Tuple[int, int]:

@@ -13,6 +13,11 @@ class GateParameters(Parameters):
 
     most_unstated: float = 5e-4  # share of a DSM's heights without an expected error
     most_strange: float = 0.05  # share of expected errors without a height
+    most_error_m: float = 50.0  # median expected error: a DEM of 90 m cells has 10 m
+    most_error_variations: float = 20.0  # the same, by how much heights vary; our DSMs have 1.2 to 1.7, centimetres 120
+    variation_cells: int = 8  # between the heights whose second differences are this variation
+    least_unlikely_m: float = 2.0  # the same for heights that vary by nothing, as those of lakes do; and so many cells
+    least_unlikely_cells: float = 2.0
     most_uncovered: float = 0.01  # share of a DSM that a companion may leave out
     ground_percent: float = 5.0  # of a DSM's heights, at least, lie on the ground
     mode_share: float = 0.25  # of the differences, in the shortest interval that has so many: the ground

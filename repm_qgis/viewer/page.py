@@ -24,7 +24,7 @@ from ..contracts.errors import EmptyResultError
 from ..contracts.options import ViewerOptions
 from ..contracts.products import STYLES
 from ..evaluation.grids import Grid, metres_per_unit
-from ..gate.companions import picture_findings
+from ..gate.companions import error_findings, picture_findings
 from ..geometry.frames import flat_crs, vertical_part
 from ..geometry.vertical import TAG
 from ..imagery import raster
@@ -173,7 +173,11 @@ def _draped(
         data = base64.b64encode(jpeg_bytes(picture, parameters.jpeg_quality)).decode("ascii")
         return {"kind": kind, "picture": data}
     style = next(style for style in STYLES if style.kind == kind)
-    values = values_of(style.band if style.band <= dataset.RasterCount else 1)
+    band = style.band if style.band <= dataset.RasterCount else 1
+    if kind == "confidence":
+        with raster.opened(cells.path) as dsm:
+            warn_all(progress, error_findings(dsm, dataset, band, "CONFIDENCE"))
+    values = values_of(band)
     low, high = value_range(kind, values)
     known = np.isfinite(values)
     scaled = np.clip((np.where(known, values, low) - low) / (high - low), 0.0, 1.0)

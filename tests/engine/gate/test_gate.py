@@ -15,6 +15,7 @@ from repm_qgis.gate.content import copies
 from repm_qgis.gate.times import order_findings, require_possible, time_findings
 from repm_qgis.imagery import raster
 from repm_qgis.imagery.heights import stray_numbers
+from repm_qgis.runtime.progress import Recorder, Silent
 from repm_qgis.stages import run_stage
 
 SIDE, CELL, WEST, NORTH = 240, 0.5, 500000.0, 4000000.0
@@ -51,6 +52,46 @@ def test_a_confidence_of_its_own_dsm_is_no_news(dsm, tmp_path):
     holes[50:90, 50:90] = errors[50:90, 50:90] = np.nan
     with_holes = written(tmp_path / "holes.tif", holes), written(tmp_path / "ch.tif", errors)
     assert confidence_findings(*with_holes, "CONFIDENCE") == []
+
+
+def varied(of, seed=3):
+    """Expected errors as a sound raster has them: up to twice, and more at edges."""
+    return of * np.random.default_rng(seed).uniform(0.5, 2.0, (SIDE, SIDE))
+
+
+@pytest.mark.parametrize(("median", "said"), ((10.0, "10"), (90.0, "90")), ids=("centimetres", "90 m"))
+def test_expected_errors_of_another_unit_are_named(dsm, tmp_path, median, said):
+    for errors in (np.full((SIDE, SIDE), median), varied(median)):
+        (finding,) = confidence_findings(dsm, written(tmp_path / "c.tif", errors), "CONFIDENCE")
+        assert finding.id == "errors-unlikely" and finding.level == "doubt"
+    assert confidence_findings(dsm, written(tmp_path / "sound.tif", varied(0.1)), "CONFIDENCE") == []
+
+
+def test_errors_of_other_units_are_named_whoever_reads_them(dsm, tmp_path):
+    second = written(tmp_path / "b.tif", surface(1), metadata={"REPM_DAYS": "2024-05-01"})
+    third = written(tmp_path / "c.tif", surface(2), west=WEST + 60.0)
+    wrong, sound = (written(tmp_path / f"e{of}.tif", varied(of)) for of in (10.0, 0.1))
+    beside = written(tmp_path / "beside.tif", varied(0.1), west=WEST + 60.0)
+    output = {"output": str(tmp_path / "o.tif")}
+    jobs = {
+        "change": {"before": dsm, "after": second, "before_confidence": "", "after_confidence": sound, **output},
+        "series": {"dsms": [dsm, second, written(tmp_path / "d.tif", surface(4))], **output},
+        "mosaic": {"dsms": [dsm, third], **output},
+        "viewer": {"dsm": dsm, "viewer": str(tmp_path / "page.html")},
+        "dtm": {"dsm": dsm, "largest": 20.0, **output},
+    }
+    options = {"change": "before_confidence", "series": "confidences", "mosaic": "confidences"}
+    jobs["series"]["dates"] = ["2020-05-01", "2022-05-01", "2024-05-01"]
+    for name, job in jobs.items():
+        for errors, named in ((wrong, True), (sound, False)):
+            given = {"series": [errors, sound, sound], "mosaic": [errors, beside]}.get(name, errors)
+            run = Recorder(Silent())
+            run_stage(name, {**job, options.get(name, "confidence"): given}, run)
+            assert ("errors-unlikely" in ids(run.findings)) == named, name
+    negative = written(tmp_path / "n.tif", -varied(0.1))
+    for name in ("viewer", "change"):
+        with pytest.raises(ImageError, match="100 % of the expected errors of .*n.tif' are 0 or less"):
+            run_stage(name, {**jobs[name], options.get(name, "confidence"): negative}, Silent())
 
 
 def test_heights_without_an_expected_error_are_named_with_their_share(dsm, tmp_path):
