@@ -55,9 +55,6 @@ class Surface:
         """Apply one edit; raises EmptyResultError for one that finds no heights to use."""
         window = shape.window(self._grid)
         if window is None:
-            self._progress.warn(
-                Finding("edit-outside", f"Edit {edit.number} lies outside the DSM: it changes nothing.")
-            )
             return Applied(0)
         if edit.operation == "remove":
             return self._with_value(shape, window, math.nan)

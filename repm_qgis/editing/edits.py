@@ -13,7 +13,7 @@ from typing import Dict, Optional, Sequence, Tuple, Union
 from osgeo import ogr
 
 from ..contracts.errors import InputTableError
-from ..files.vector import file_and_layer, open_layer, write_layer
+from ..files.vector import file_and_layer, open_layer, require_reference, write_layer
 from ..imagery.heights import HIGHEST_M, LOWEST_M
 from ..imagery.raster import NODATA
 
@@ -73,9 +73,7 @@ def read_edits(path: str) -> Edits:
 
 
 def _read(path: str, layer: ogr.Layer) -> Edits:
-    reference = layer.GetSpatialRef()
-    if reference is None:
-        raise InputTableError(f"The edits '{path}' have no coordinate reference system: assign one to the layer first.")
+    reference = require_reference(layer, path)
     if layer.GetFeatureCount() > _MOST_EDITS:
         raise InputTableError(
             f"'{path}' has {layer.GetFeatureCount()} edits, and EDITS takes {_MOST_EDITS}: apply them in parts."

@@ -13,7 +13,7 @@ from osgeo import ogr, osr
 from ..contracts.arrays import Bounds, FloatArray, FloatImage
 from ..contracts.checks import as_text
 from ..contracts.errors import InputTableError
-from ..files.vector import file_and_layer, open_layer
+from ..files.vector import file_and_layer, open_layer, reference_of
 from ..geometry.frames import flat_crs
 from .coregistration import Alignment
 from .grids import Grid, HeightWarper, metres_per_unit
@@ -61,7 +61,7 @@ def read_lines(path: str, reference: Grid) -> List[ProfileLine]:
         raise InputTableError(f"Cannot open the profile lines of '{path}': give a line layer.")
     lines = []
     for number, feature in zip(range(1, _MOST_LINES + 1), layer):
-        corners = _corners(feature.GetGeometryRef(), layer.GetSpatialRef(), reference)
+        corners = _corners(feature.GetGeometryRef(), reference_of(layer), reference)
         if len(corners) > 1:
             lines.append(ProfileLine(_name_of(feature, number), corners))
     if not lines:

@@ -20,7 +20,7 @@ from ..contracts.checks import as_text
 from ..contracts.errors import InputTableError
 from ..geometry.frames import on_earth
 from .untrusted import refusal_of
-from .vector import open_layer
+from .vector import open_layer, reference_of
 
 _INDEXED = (".gpkg", ".shp", ".fgb", ".sqlite", ".gdb")  # read row by row, and know how many there are
 _DELIMITERS = ",;\t"
@@ -183,7 +183,7 @@ class LayerTable:
         kind = layer.GetGeomType()
         self.placed, self.has_height = ogr.GT_Flatten(kind) == ogr.wkbPoint, bool(ogr.GT_HasZ(kind))
         self.known_count = layer.GetFeatureCount(0)  # 0: only where the format knows it without counting
-        reference = layer.GetSpatialRef()
+        reference = reference_of(layer)
         self.crs: Optional[pyproj.CRS] = None
         if reference is not None:
             try:

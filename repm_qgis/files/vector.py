@@ -63,6 +63,28 @@ def open_layer(file: str, name: str = "") -> Tuple[Optional[gdal.Dataset], Optio
     return source, layer
 
 
+def reference_of(layer: ogr.Layer) -> Optional[osr.SpatialReference]:
+    """A layer's CRS, x before y; None where it states none, or one without a place on the Earth: GeoPackages have
+    "Undefined SRS"."""
+    stated = layer.GetSpatialRef()
+    if stated is None or stated.IsLocal() or str(stated.GetName()).startswith("Undefined"):
+        return None
+    own = stated.Clone()
+    own.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)
+    return own
+
+
+def require_reference(layer: ogr.Layer, path: str) -> osr.SpatialReference:
+    """As :func:`reference_of`; raises InputTableError, with the layer's file, where there is none."""
+    own = reference_of(layer)
+    if own is None:
+        raise InputTableError(
+            f"The layer '{path}' has no coordinate reference system: assign it one first (Assign projection, in the "
+            "processing toolbox)."
+        )
+    return own
+
+
 def strangers_in(path: str) -> List[str]:
     """The layers and rasters in a GeoPackage that replacing it would lose: those that this module has not written.
     Empty for other files, and where there is none."""

@@ -8,7 +8,7 @@ from osgeo import gdal, ogr, osr
 
 from ..contracts.arrays import Mask
 from ..contracts.errors import ImageError, InputTableError
-from ..files.vector import file_and_layer, open_layer
+from ..files.vector import file_and_layer, open_layer, require_reference
 from ..geometry.cell_grid import CellGrid
 from ..imagery.raster import opened
 
@@ -31,16 +31,14 @@ def stable_cells(path: str, grid: CellGrid, crs: str) -> Mask:
 
 
 def _in_polygons(path: str, layer: ogr.Layer, grid: CellGrid, crs: str) -> Mask:
-    if layer.GetSpatialRef() is None:
-        raise InputTableError(f"The layer '{path}' has no coordinate reference system: assign it one first.")
+    own = require_reference(layer, path)
     if layer.GetFeatureCount() > _MOST_FEATURES:
         raise InputTableError(
             f"'{path}' has {layer.GetFeatureCount()} polygons, and STABLE takes {_MOST_FEATURES}: dissolve them first."
         )
     target = osr.SpatialReference()
     target.SetFromUserInput(crs)
-    for reference in (target, own := layer.GetSpatialRef().Clone()):
-        reference.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)
+    target.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)
     transformation = osr.CoordinateTransformation(own, target)
     memory = ogr.GetDriverByName("Memory").CreateDataSource("stable")
     copy = memory.CreateLayer("stable", target, ogr.wkbUnknown)

@@ -15,7 +15,7 @@ from ..contracts.arrays import FloatArray, FloatImage, IntArray
 from ..contracts.errors import InputTableError, OverlapError
 from ..evaluation.grids import Grid
 from ..files.tables import csv_text
-from ..files.vector import file_and_layer, open_layer, write_layer
+from ..files.vector import file_and_layer, open_layer, require_reference, write_layer
 from ..geometry.frames import flat_crs
 from ..runtime.workspace import write_text
 from .times import DatedDsm
@@ -38,16 +38,12 @@ class Areas(Shapes):
         source, layer = open_layer(file, name)
         if layer is None:
             raise InputTableError(f"The layer '{path}' of AREAS cannot be read: choose a layer of polygons.")
-        if layer.GetSpatialRef() is None:
-            raise InputTableError(f"The layer '{path}' has no coordinate reference system: assign it one first.")
-        self._take(layer)
+        self._take(layer, require_reference(layer, path))
         del layer, source  # in this order, or OGR's objects outlive their file
         if not self.names:
             raise InputTableError(f"The layer '{path}' has no polygons: AREAS takes polygons.")
 
-    def _take(self, layer: ogr.Layer) -> None:
-        own = layer.GetSpatialRef().Clone()
-        own.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)
+    def _take(self, layer: ogr.Layer, own: osr.SpatialReference) -> None:
         flat = osr.SpatialReference()
         flat.ImportFromWkt(flat_crs(self._grid.crs).to_wkt("WKT2_2019"))
         flat.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)

@@ -16,6 +16,7 @@ import numpy as np
 
 from ..contracts.checks import as_text
 from ..contracts.documents import Keywords
+from ..contracts.findings import Finding
 from ..contracts.options import EditDsmOptions
 from ..contracts.products import product
 from ..contracts.results import EditDsmResult
@@ -32,7 +33,7 @@ from ..imagery.confidence import CONFIDENCE_BANDS, SOURCE_BAND, ConfidenceBands,
 from ..imagery.heights import read_heights
 from ..planning.disk_space import editing_needs, require_space
 from ..reports.styles import write_style
-from ..runtime.progress import Part, Progress, counted
+from ..runtime.progress import Part, Progress, counted, warn_all
 from ..runtime.workspace import fingerprint
 from ..terrain.inputs import surface_of
 
@@ -46,10 +47,14 @@ def run(options: EditDsmOptions, progress: Progress, parameters: EditingParamete
     EmptyResultError for an edit that finds no heights to use, and WorkspaceError.
     """
     surface = surface_of(options.dsm, options.confidence)
+    warn_all(progress, surface.findings)
     grid = Grid(options.dsm, surface.size, surface.transform, surface.crs)
     edits = read_edits(options.edits)
     shapes = shapes_of(edits, grid, surface.cell)
     named = _confidence(options)
+    if not shapes:
+        text = f"No edit of '{options.edits}' is enabled, so the DSM stays as it is: set the field 'enabled' to 1."
+        progress.warn(Finding("edits-none", text))
     cells = surface.size[0] * surface.size[1]
     require_space("the edited surface", editing_needs(options, cells, len(named[1]) if named else 0), progress)
     tags = {**_kept(options.dsm), **surface.tags, **_origin(options.dsm, edits)}
@@ -73,6 +78,9 @@ def run(options: EditDsmOptions, progress: Progress, parameters: EditingParamete
             progress.step(_COPIED + (0.9 - _COPIED) * number / len(shapes), f"edit {number + 1} of {len(shapes)}")
             applied = edited.apply(edit, shape)
             counts.append(applied.cells)
+            if not applied.cells:
+                text = f"Edit {edit.number} covers no cell of the DSM: it changes nothing."
+                progress.warn(Finding("edit-outside", text))
             found = {**edit.record(), "cells": applied.cells}
             if applied.level is not None:
                 found["level"] = applied.level
@@ -84,7 +92,7 @@ def run(options: EditDsmOptions, progress: Progress, parameters: EditingParamete
     for name in ("output", "edited_confidence"):
         if getattr(options, name):
             write_style(product("editdsm", name).style, getattr(options, name))
-    progress.info(f"{counted(len(counts), 'edit')} applied, which cover {sum(counts)} cells.")
+    progress.info(f"{counted(len(counts), 'edit')} applied to {counted(sum(counts), 'cell')}.")
     progress.step(1.0, "Edited")
     return EditDsmResult(
         output=options.output,

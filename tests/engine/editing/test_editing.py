@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from osgeo import ogr
+from osgeo import ogr, osr
 
 from repm_qgis.contracts.errors import EmptyResultError, ImageError, InputTableError, OptionError
 from repm_qgis.editing.edits import Edit, read_edits, write_edits
@@ -312,8 +312,53 @@ def test_what_cannot_be_done_is_said_and_leaves_nothing(tmp_path):
         edited(tmp_path, dsm, confidence=other, edited_confidence=str(tmp_path / "c.tif"))
     progress = Recorder(Silent())
     heights, result = edited(tmp_path, dsm, edit(9, "remove", box(900, 900, 950, 950)), progress=progress)
-    assert result.edited_cells == 0 and "Edit 9 lies outside the DSM" in progress.findings[0]
+    assert result.edited_cells == 0 and "Edit 9 covers no cell of the DSM" in progress.findings[0]
     assert not [path.name for path in tmp_path.iterdir() if ".part" in path.name]
+
+
+class Heard(Recorder):
+    """Keeps what is said, too."""
+
+    def __init__(self):
+        super().__init__(Silent())
+        self.said = []
+
+    def info(self, text):
+        self.said.append(str(text))
+
+
+@pytest.mark.parametrize(
+    ("record", "applied", "named", "said"),
+    (
+        ({"wkt": box(30.6, 30.6, 30.9, 30.9)}, 1, "Edit 1 covers no cell of the DSM", "1 edit applied to 0 cells."),
+        ({"wkt": box(30, 30, 31, 31)}, 1, "", "1 edit applied to 1 cell."),
+        ({"wkt": box(30, 30, 40, 40), "enabled": False}, 0, "is enabled, so the DSM stays", "0 edits applied to 0"),
+    ),
+    ids=("between centres", "one cell", "none enabled"),
+)
+def test_edits_that_change_nothing_are_named(tmp_path, record, applied, named, said):
+    heard = Heard()
+    _, result = edited(tmp_path, written(tmp_path), edit(1, "remove", **record), progress=heard)
+    assert result.edits == applied and any(said in line for line in heard.said)
+    assert [named in finding for finding in heard.findings] == ([True] if named else [])
+
+
+@pytest.mark.parametrize(
+    "crs", (None, 'LOCAL_CS["Undefined Cartesian SRS",UNIT["Meter",1]]'), ids=("none", "undefined")
+)
+def test_edits_without_a_crs_are_refused_with_a_remedy(tmp_path, crs):
+    """GDAL writes "Undefined ... SRS" into a GeoPackage where a layer has none."""
+    path, reference = str(tmp_path / "e.gpkg"), osr.SpatialReference(crs) if crs else None
+    source = ogr.GetDriverByName("GPKG").CreateDataSource(path)
+    layer = source.CreateLayer("edits", reference, ogr.wkbPolygon)
+    layer.CreateField(ogr.FieldDefn("operation", ogr.OFTString))
+    feature = ogr.Feature(layer.GetLayerDefn())
+    feature["operation"] = "remove"
+    feature.SetGeometry(ogr.CreateGeometryFromWkt(box(30, 30, 40, 40)))
+    layer.CreateFeature(feature)
+    del feature, layer, source
+    with pytest.raises(InputTableError, match=r"e.gpkg' has no coordinate reference system: assign it one first"):
+        run_stage("editdsm", {"dsm": written(tmp_path), "edits": path, "output": str(tmp_path / "o.tif")}, Silent())
 
 
 def test_a_layer_without_operations_is_refused(tmp_path):
