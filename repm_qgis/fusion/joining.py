@@ -73,7 +73,7 @@ def join_tiles(
     """
     if not any(tile.valid for tile in stored):
         cells = sum(tile.cells for tile in stored)
-        raise EmptyResultError(f"None of {cells} cells of the DSM has a height: check the reconstruction's report.")
+        raise EmptyResultError(f"No cell of the DSM has a height (cells: {cells}): check the reconstruction's report.")
     crop, path, shaded = _known_part(layout, stored), f"{folder}/joined.tif", f"{folder}/shaded.tif"
     shape, count = (crop.height, crop.width), 2 * FIELDS + 1 if walls else FIELDS + 1
     with created(path, RasterFrame(shape, np.float32, count), compress=False) as raster:

@@ -155,7 +155,7 @@ def write_products(
             interpolated = _write_filled(products, products.whole, scene, layout, folder, parameters)
         scene.require_same_images()  # before the products get their names: the intensities came from these pixels
     if not levels:
-        raise EmptyResultError(f"None of {grid.shape[0] * grid.shape[1]} cells of the DSM has a matched height.")
+        raise EmptyResultError(f"No cell of the DSM has a matched height (cells: {grid.shape[0] * grid.shape[1]}).")
     filled, valid = valid - matched, valid + interpolated
     overlap = overlap_m2(scene, float(np.median(levels)))
     cells = max(round(overlap / layout.grid.cell**2), valid)  # holes are filled beyond it, too

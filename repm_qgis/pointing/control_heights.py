@@ -24,16 +24,18 @@ def heights_off(
     gcps: Sequence[Gcp],
     views: Sequence[View],
     pairs: Sequence[ViewPair],
-    figures: PointingFigures,
+    figures: Optional[PointingFigures],
     parameters: PointingParameters = POINTING,
 ) -> Optional[Finding]:
     """A finding where control points lie elsewhere in height than the vendors' RPCs see them, as a whole.
 
-    ``pairs`` and ``figures`` say how well the RPCs agree, which shows how good their heights are.
+    ``pairs`` and ``figures`` say how well the RPCs agree, which shows how good their heights are; without them, they
+    are as good as their promise.
     """
-    gsd_m = max(view.gsd_m for view in views)
     promised_up_m = promised(views, parameters.planning).vertical_m
-    usual_up_m = usual_height_deviation(pairs, figures, gsd_m, parameters.planning)
+    usual_up_m = promised_up_m
+    if pairs and figures is not None:
+        usual_up_m = usual_height_deviation(pairs, figures, max(view.gsd_m for view in views), parameters.planning)
     plain = [view.with_pointing(np.eye(2, 3)) for view in views]
     control = [gcp for gcp in gcps if gcp.role == "control"]
     offsets = [(gcp, offset[2]) for gcp in control for offset in [intersect(gcp, plain)] if offset is not None]

@@ -13,18 +13,34 @@ from typing import Callable, Dict, List, Sequence, Tuple
 import numpy as np
 import pyproj
 
+from ..contracts.arrays import FloatArray
 from ..contracts.errors import InputTableError
+from ..geometry.height_causes import FOOT_M
 from ..planning.promises import promise_of
-from ..runtime.progress import counted
+from ..runtime.progress import counted, listed
 from ..scene import View
 from .control_noise import most_set_aside
-from .ground_control import Gcp
+from .ground_control import Gcp, residuals
 from .parameters import POINTING, PointingParameters
 
 _WGS84 = pyproj.Geod(ellps="WGS84")
 _SWAPS: Tuple[Tuple[str, Callable[[Gcp], Gcp]], ...] = (
     ("lon and lat", lambda gcp: replace(gcp, lon=gcp.lat, lat=gcp.lon)),
     ("col and row", lambda gcp: replace(gcp, pixels={view: pixel[::-1] for view, pixel in gcp.pixels.items()})),
+)
+
+_READINGS: Tuple[Tuple[str, str, Callable[[Gcp], Gcp]], ...] = (
+    ("col and row are exchanged", "exchange these columns in the table", _SWAPS[1][1]),
+    (
+        "heights are feet and not metres",
+        "convert the heights to metres",
+        lambda gcp: replace(gcp, height=FOOT_M * gcp.height),
+    ),
+    (
+        "heights are metres and not feet",
+        "give the heights as metres",
+        lambda gcp: replace(gcp, height=gcp.height / FOOT_M),
+    ),
 )
 
 
@@ -71,11 +87,37 @@ def misplaced(gcps: Sequence[Gcp], views: Sequence[View], path: str, parameters:
     )
 
 
+def misread(gcps: Sequence[Gcp], views: Sequence[View], path: str, parameters: PointingParameters = POINTING) -> str:
+    """What the whole table says otherwise than it was read, in one sentence: what brings the residuals of its points
+    together, which lie far apart as they are. "" where nothing does, or no view has enough points."""
+    plain, plan = [view.with_pointing(np.eye(2, 3)) for view in views], parameters.places
+    given = {name: px for name, px in _spreads(gcps, plain, parameters).items() if px > plan.misread_px}
+    for cause, remedy, repaired in _READINGS if given else ():
+        left = _spreads([repaired(gcp) for gcp in gcps], plain, parameters)
+        better = [name for name in given if plan.misread_gain * left.get(name, math.inf) < given[name]]
+        if better:
+            found, px = (max(spreads[name] for name in better) for spreads in (given, left))
+            text = f"The residuals of the points of '{path}' in {listed(better)} differ by {found:.1f} px (RMS)"
+            return f"{text}, and by {px:.1f} px if {cause}: {remedy}."
+    return ""
+
+
+def _spreads(gcps: Sequence[Gcp], views: Sequence[View], parameters: PointingParameters) -> Dict[str, float]:
+    """How far residuals lie from their median (RMS), px by the view's name."""
+    seen: Dict[str, List[FloatArray]] = {}
+    for gcp in gcps:
+        for name, residual in residuals(gcp, views).items():
+            seen.setdefault(name, []).append(residual)
+    enough = {name: np.array(each) for name, each in seen.items() if len(each) >= parameters.places.misread_points}
+    return {name: float(np.sqrt(2 * np.mean((each - np.median(each, axis=0)) ** 2))) for name, each in enough.items()}
+
+
 def require_places(
     gcps: Sequence[Gcp], views: Sequence[View], path: str, parameters: PointingParameters = POINTING
 ) -> None:
-    """Raise InputTableError where points as a whole do not belong to the images (:func:`misplaced`)."""
-    text = misplaced(gcps, views, path, parameters)
+    """Raise InputTableError where points as a whole were read wrongly (:func:`misread`), or do not belong to the images
+    (:func:`misplaced`)."""
+    text = misread(gcps, views, path, parameters) or misplaced(gcps, views, path, parameters)
     if text:
         raise InputTableError(text)
 

@@ -87,6 +87,9 @@ class PlaceParameters(Parameters):
     """How far control points may be from where the vendors' RPCs put their pixels, beyond the vendors' promise."""
 
     margin_m: float = 50.0  # errors of points from maps; a geoid of 100 m seen at 27 degrees. Chosen
+    misread_px: float = 1.5  # (RMS) residuals that differ by more than this were read wrongly ...
+    misread_gain: float = 5.0  # ... where what the table may mean brings them together so many times. Both chosen
+    misread_points: int = 4  # in an image, at least; chosen
     believable: float = 3.0  # standard deviations of the RPCs' heights, beyond which those of points are named. Chosen
 
 

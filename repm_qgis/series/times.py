@@ -45,8 +45,12 @@ def dated(dsms: Sequence[str], confidences: Sequence[str], dates: Sequence[str])
     found.sort(key=lambda each: each.taken)
     for one, other in zip(found, found[1:]):
         if one.taken == other.taken:
-            same = f"has the time of '{other.path}' ({one.taken:%Y-%m-%d %H:%M}): leave one out, or give the DATES"
-            raise OptionError("DSMS", one.path, same)
+            at = f"{one.taken:%Y-%m-%d %H:%M}"
+            if dates:
+                why = f"is the time of '{one.path}' and of '{other.path}': leave one of them out, or correct its date"
+                raise OptionError("DATES", at, why)
+            why = f"has the time of '{other.path}' ({at}): leave one out, or give the DATES"
+            raise OptionError("DSMS", one.path, why)
     days = [each.taken.date() for each in found]
     form = "%Y-%m-%d" if len(set(days)) == len(days) else "%Y-%m-%d %H:%M:%S"
     return [DatedDsm(each.path, each.confidence, each.taken, each.taken.strftime(form)) for each in found]

@@ -74,9 +74,9 @@ def write_tiles3d(
     the orthophoto ``ortho``, or else a hillshade. Heights of a DSM that does not state its datum are taken to be above
     the ellipsoid, with a warning.
 
-    Raises ImageError for a raster that cannot be read or lies nowhere, EmptyResultError for a DSM without heights,
-    OverlapError for an orthophoto of another place, MissingPackageError where PROJ lacks the grid of its geoid,
-    WorkspaceError where the folder has other files or cannot be written.
+    Raises ImageError for a raster that cannot be read or lies nowhere, EmptyResultError for a DSM without three heights
+    beside each other, OverlapError for an orthophoto of another place, MissingPackageError where PROJ lacks the grid of
+    its geoid, WorkspaceError where the folder has other files or cannot be written.
     """
     progress = progress or Silent()
     require_tiles3d_place(folder)
@@ -90,7 +90,10 @@ def write_tiles3d(
         tree = _Tree(dataset, whole, paint, progress, parameters)
         root = tree.tile(tree.depth, 0, 0)
         if root is None:
-            raise EmptyResultError(f"The DSM '{dsm}' has no heights: there is nothing to write into '{folder}'.")
+            raise EmptyResultError(
+                f"The DSM '{dsm}' has no three heights beside each other, as a triangle needs: there is nothing to "
+                f"write into '{folder}'."
+            )
         write_tileset(whole, tree.globe.frame, root.entry, "REPLACE", float(np.linalg.norm(root.high - root.low)))
         return Tiles3dFacts(tree.tiles, tree.vertices, tree.triangles, root.error)
 

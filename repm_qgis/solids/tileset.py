@@ -67,7 +67,7 @@ class Globe:
 
         Raises MissingPackageError where PROJ lacks the grid of the geoid.
         """
-        above = heights + self.datum.undulation(self.crs, xy)
+        above = heights + self.datum.undulation(self.crs, xy, "convert the heights to the ellipsoid first")
         return self.frame.from_geodetic(np.column_stack([geodetic_from_projected(self.crs, xy), above]))
 
 

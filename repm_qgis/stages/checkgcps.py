@@ -17,7 +17,7 @@ from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import opened
 from ..names import scene_title, surface_title
 from ..pointing.control_heights import heights_off
-from ..pointing.control_places import misplaced, placed_points
+from ..pointing.control_places import misplaced, misread, placed_points
 from ..pointing.ground_control import Gcp, read_gcps
 from ..reports import verdict
 from ..reports.gcp_page import gcp_page
@@ -47,9 +47,9 @@ def run(options: CheckGcpsOptions, progress: Progress) -> CheckGcpsResult:
         with opened(options.dsm) as dsm:
             measure_dsm(found, dsm, options.gcps)
         if found.dsm_heights is None or not np.isfinite(found.dsm_heights).any():
-            points, place = counted(len(found.gcps), "point"), f"where the DSM '{options.dsm}' has a height"
             raise EmptyResultError(
-                f"None of the {points} of '{options.gcps}' lies {place}: choose points of the same area."
+                f"No point of '{options.gcps}' (points: {len(found.gcps)}) lies where the DSM '{options.dsm}' has a "
+                "height: choose points of the same area."
             )
     run = Recorder(progress)
     warn_all(run, [*found.warnings, *verdict.of_points(found)])
@@ -65,15 +65,16 @@ def run(options: CheckGcpsOptions, progress: Progress) -> CheckGcpsResult:
 
 def _measure_images(scene: Scene, found: GcpAccuracy, options: CheckGcpsOptions) -> None:
     if any(gcp.pixels for gcp in found.gcps):
+        if unread := misread(found.gcps, scene.views, options.gcps):
+            raise InputTableError(unread)
         wrong = misplaced(found.gcps, scene.views, options.gcps)
         if wrong and not any(point.inside for point in placed_points(found.gcps, scene.views)):
             raise InputTableError(wrong)
         found.warnings += [Finding("points-misplaced", wrong)] * bool(wrong)
         measure_images(found, scene.views)
         tied = [pair for pair in scene.pairs if pair.tied]
-        if scene.pointing is not None and tied:
-            off = heights_off(found.gcps, scene.views, tied, scene.pointing)
-            found.warnings += [] if off is None else [off]
+        off = heights_off(found.gcps, scene.views, tied, scene.pointing)
+        found.warnings += [] if off is None else [off]
         if "compensated" not in found.errors:
             points = f"No point of '{file_and_layer(options.gcps)[0]}' with image measurements has the role control"
             found.warnings.append(

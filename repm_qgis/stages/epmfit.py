@@ -337,7 +337,9 @@ def _tiles(scene: Scene, grounds: Sequence[GroundTile], progress: Progress) -> T
         if len(tile.views) >= 2:
             tiles.append(tile)
     if not tiles:
-        raise OverlapError(f"None of {len(grounds)} tiles is seen by two images: choose a larger EXTENT or TILE_SIZE.")
+        raise OverlapError(
+            f"No tile is seen by two images (tiles: {len(grounds)}): choose a larger EXTENT or TILE_SIZE."
+        )
     return tuple(tiles)
 
 

@@ -21,7 +21,7 @@ from ..planning.overlap import without_doublets
 from ..planning.run_estimate import RunEstimate, estimate
 from ..reports.inspection_page import Choice, inspection_page, verdict
 from ..reports.styles import write_style
-from ..runtime.progress import Part, Progress, Recorder, counted
+from ..runtime.progress import Part, Progress, Recorder
 from ..scene import View, load_view
 from .parameters import ENGINE, EngineParameters
 
@@ -39,7 +39,7 @@ def run(options: InspectOptions, progress: Progress, parameters: EngineParameter
     views, unusable = _loaded(options, run)
     if not views:
         path, reason = next(iter(unusable.items()))
-        raise ImageError(f"None of {counted(len(unusable), 'image')} can be used; '{os.path.basename(path)}': {reason}")
+        raise ImageError(f"No image can be used (images: {len(unusable)}); '{os.path.basename(path)}': {reason}")
     progress.step(_LOADED, "overlaps of pairs")
     part = Part(progress, _LOADED, 1.0)
     places = inspect_views(views, parameters.tiles.least_overlap_px, part, parameters.pointing.planning)

@@ -102,7 +102,7 @@ def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: En
         cells.update(block.cells)
     valid = sum(cells.values())
     if not valid:
-        raise EmptyResultError(f"None of the {rows * columns} cells of the mosaic has a height: check the DSMs.")
+        raise EmptyResultError(f"No cell of the mosaic has a height (cells: {rows * columns}): check the DSMs.")
     rasters, writing = rasters_of(options, layout), Part(progress_of, 0.9, 0.98)
     write_mosaic(
         rasters,

@@ -368,7 +368,12 @@ def test_what_cannot_be_followed_is_refused_in_a_sentence(dates, tmp_path, told)
         ([*two, silent], {}, OptionError, "has no time, neither"),
         (dates[:3], {"dates": DAYS[:2]}, OptionError, "one for each of DSMS"),
         (dates[:3], {"dates": ("2020-01-01", "2020-13-01", "2021-01-01")}, OptionError, "must be a day such as"),
-        (dates[:3], {"dates": ("2020-01-01", "2020-01-01", "2021-01-01")}, OptionError, "has the time of"),
+        (
+            dates[:3],
+            {"dates": ("2020-01-01", "2020-01-01", "2021-01-01")},
+            OptionError,
+            "DATES is '2020-01-01 00:00': it is",
+        ),
         (dates[:3], {"confidences": ("a.tif",)}, OptionError, "CONFIDENCES"),
         (dates[:3], {"table": "t.xlsx"}, OptionError, "must end with .csv"),
         ([*two, away], {}, OverlapError, "no ground in common"),

@@ -10,7 +10,7 @@ import pytest
 from osgeo import gdal, osr
 from pyproj import Transformer
 
-from repm_qgis.contracts.errors import EmptyResultError, OverlapError, RepmError, WorkspaceError
+from repm_qgis.contracts.errors import EmptyResultError, MissingPackageError, OverlapError, RepmError, WorkspaceError
 from repm_qgis.solids import tiles3d
 from repm_qgis.solids.tiles3d import write_tiles3d
 from repm_qgis.stages import run_stage
@@ -237,7 +237,7 @@ def test_an_island_that_coarse_tiles_do_not_see_stays(tmp_path):
 
 def test_what_cannot_be_written_is_said_and_nothing_is_lost(tmp_path):
     empty = write(tmp_path / "empty.tif", np.full((40, 40), np.nan))
-    with pytest.raises(EmptyResultError, match="no heights"):
+    with pytest.raises(EmptyResultError, match="no three heights"):
         write_tiles3d(empty, str(tmp_path / "tiles"))
     assert not (tmp_path / "tiles").exists()
     mine = tmp_path / "mine"
@@ -285,3 +285,19 @@ def test_an_orthophoto_of_another_place_is_refused_and_a_part_is_named(tmp_path,
         else:
             run_stage("tiles3d", options, said)
             assert any("shows 50.0 % of the heights" in text for text in said.warnings)
+
+
+@pytest.mark.parametrize("shape", ((1, 1), (1, 40), (40, 40)), ids=("one height", "one row", "none"))
+def test_a_dsm_without_a_triangle_is_refused_by_what_it_lacks(tmp_path, told, shape):
+    dsm = write(tmp_path / "dsm.tif", np.full(shape, 50.0 if min(shape) == 1 else np.nan))
+    with pytest.raises(EmptyResultError, match="dsm.tif' has no three heights beside each other"):
+        run_stage("tiles3d", {"dsm": dsm, "tiles3d": str(tmp_path / "t")}, told())
+
+
+def test_a_geoid_that_proj_does_not_know_is_said_with_a_remedy_that_there_is(tmp_path, told):
+    dsm = write(tmp_path / "dsm.tif", town(), "EPSG:32631+5711", "")  # Australian heights in Europe
+    with pytest.raises(
+        MissingPackageError, match="AHD height.*: convert the heights to the ellipsoid first"
+    ) as refused:
+        run_stage("tiles3d", {"dsm": dsm, "tiles3d": str(tmp_path / "t")}, told())
+    assert "VERTICAL_DATUM" not in str(refused.value)

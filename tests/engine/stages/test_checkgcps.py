@@ -133,6 +133,31 @@ def test_no_control_point_vouches_for_itself(urban, scene, points, tmp_path, tol
         assert px[k] == pytest.approx(1 / 6 if k % 2 else 1 / 5, abs=0.01)
 
 
+@pytest.mark.parametrize(
+    ("pixel", "feet", "said"),
+    (
+        (lambda k, name, p: p[::-1], 1.0, "if col and row are exchanged: exchange these columns in the table."),
+        (lambda k, name, p: p[::-1] if name == "img_01" else p, 1.0, "in img_01 differ by .* if col and row are exch"),
+        (lambda k, name, p: p, 0.3048, "if heights are feet and not metres: convert the heights to metres."),
+    ),
+    ids=("columns", "columns of one image", "feet"),
+)
+def test_a_table_that_is_read_wrongly_is_refused_by_its_cause(urban, scene, points, tmp_path, told, pixel, feet, said):
+    """No single point is blamed, and nobody is told to give the points to the reconstruction."""
+    numbers = np.random.default_rng(6)
+    path = written(
+        tmp_path / "g.csv", urban, points, pixel=lambda k, name, p: pixel(k, name, p + numbers.normal(0, 0.2, 2))
+    )
+    with open(path, newline="", encoding="utf-8") as stream:
+        rows = list(csv.reader(stream))
+    for row in rows[1:]:
+        row[FIELDS.index("height")] = repr(float(row[FIELDS.index("height")]) / feet)
+    with open(path, "w", newline="", encoding="utf-8") as stream:
+        csv.writer(stream).writerows(rows)
+    with pytest.raises(InputTableError, match=said):
+        run_stage("checkgcps", {"gcps": path, "scene": scene, "output": str(tmp_path / "p.gpkg")}, told())
+
+
 def test_two_wrong_points_of_twelve_are_named_and_left_out(urban, scene, points, tmp_path, told):
     numbers = np.random.default_rng(4)
     wrong = {2: (5.0, -2.0), 6: (-1.0, 8.0)}
@@ -373,7 +398,7 @@ def test_what_cannot_be_checked_is_shortage_as_error(urban, scene, exact, points
     fails(
         EmptyResultError,
         told,
-        "None of the 12 points",
+        "(points: 12) lies where the DSM",
         "choose points of the same area",
         gcps=far,
         dsm=urban.truth,

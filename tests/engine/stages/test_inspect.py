@@ -89,7 +89,7 @@ def test_bad_images_are_named_and_stop_nobody(urban, job, told, tmp_path, write_
         assert any(f"'{name}' cannot be used: " in text and why in text for text in said.warnings)
         assert name in page
     assert "3 images cannot be used." in page
-    with pytest.raises(ImageError, match="None of 3 images can be used; 'text.tif': Cannot open"):
+    with pytest.raises(ImageError, match="No image can be used .images: 3.; 'text.tif': Cannot open"):
         run_stage("inspect", job(bad), told())
 
 

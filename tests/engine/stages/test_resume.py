@@ -435,7 +435,7 @@ def test_a_cancelled_fusion_keeps_its_tiles_and_a_failed_one_leaves_nothing(agai
     assert list(folder.glob("*/*.npz")) and parts(folder) == [] and not os.path.exists(again.output)
 
     def fail(*arguments, **more):
-        raise EmptyResultError("None of 1 cells of the DSM has a height: check the reconstruction's report.")
+        raise EmptyResultError("No cell of the DSM has a height (cells: 1): check the reconstruction's report.")
 
     monkeypatch.setattr("repm_qgis.stages.fusing.write_products", fail)
     with pytest.raises(EmptyResultError):
