@@ -23,7 +23,9 @@ from benchmarks.twin_world import (
     Form,
     World,
     between,
+    cells_of,
     read,
+    store,
     undulation,
     write,
     write_boxes,
@@ -143,6 +145,14 @@ def _first(*found: str) -> str:
     return next(filter(None, found), "")
 
 
+ERRORS: Dict[str, Tuple[str, float]] = {
+    "zero errors": ("expected errors of 0", 0.0),
+    "centimetres": ("expected errors in centimetres", 10.0),
+    "negative errors": ("expected errors below 0", -0.1),
+}
+"""Expected errors that cannot be, of heights with a noise of 0.1 m."""
+
+
 def change(draw: Draw) -> Trial:
     """Two dates: the volumes of a heap and a pit, and how the second date was moved."""
     before, rng = draw.world, draw.rng
@@ -154,7 +164,8 @@ def change(draw: Draw) -> Trial:
     two = replace(two, metadata={"REPM_DAYS": "2024-05-01"})
     one = replace(one, metadata={"REPM_DAYS": "2020-05-01"})
     kind = draw.kind(
-        *("", "", "", "wall", "raster", "gap", "moved", "reversed", "copy", "zero errors", "beside", "half")
+        *("", "", "", "wall", "raster", "gap", "moved", "reversed", "copy", "zero errors", "beside", "half"),
+        *("centimetres", "negative errors"),
     )
     fault, hole, align, conf_two = "", None, "3d", two
     if kind == "raster":
@@ -168,8 +179,8 @@ def change(draw: Draw) -> Trial:
         fault = "dates in reverse"
     elif kind == "copy":
         fault = "a copy as the second date"
-    elif kind == "zero errors":
-        fault = "expected errors of 0"
+    elif kind in ERRORS:
+        fault = ERRORS[kind][0]
     elif kind == "wall":  # sound: a heap on a roof and on the ground beside it
         before = replace(before, houses=((-8.0, -8.0, 8.0, 8.0, float(rng.uniform(5, 9))),))
         after = replace(before, changes=((-2.0, -4.0, 18.0, 11.0, 5.0), (-40.0, -45.0, -25.0, -25.0, -4.0)))
@@ -181,7 +192,7 @@ def change(draw: Draw) -> Trial:
         conf_two = two
 
     def run(heard: Heard) -> str:
-        error = 0.0 if kind == "zero errors" else 0.1
+        error = ERRORS[kind][1] if kind in ERRORS else 0.1
         paths = {"before": write(draw.path("a.tif"), before, one, seed=1)}
         paths["after"] = write(draw.path("b.tif"), before if kind == "copy" else after, two, seed=2)
         if kind == "copy":
@@ -226,12 +237,14 @@ def series(draw: Draw) -> Trial:
     box = (-25.0, -25.0, 25.0, 25.0)
     rate = float(rng.uniform(0.8, 2.0))
     form = draw.form(sigma=0.1, scaled=False)
-    kinds = "", "", "", "raster", "copy", "reversed", "year", "offset", "beside", "half"
+    kinds = "", "", "", "errors", "raster", "copy", "reversed", "year", "offset", "beside", "half", "centimetres"
     kind, fault, change_it = draw.kind(*kinds), "", None
     if kind == "raster":
         fault, change_it = draw.any_fault()
-    elif kind:
+    elif kind != "errors":
         fault = {
+            "": "",
+            "centimetres": "expected errors in centimetres",
             "copy": "a copy as a date",
             "reversed": "DATES in reverse",
             "year": "a year that cannot be",
@@ -258,7 +271,11 @@ def series(draw: Draw) -> Trial:
             said[3] = ["0018-05-01", "2320-05-01"][int(rng.integers(2))]
         areas = write_boxes(draw.path("areas.geojson"), world, ((*box, 0.0),))
         target = {"output": draw.path("s.tif"), "report": draw.path("r.html")}
-        made = stage(SERIES, heard, dsms=paths, dates=said, areas=areas, **target)
+        errors = []
+        if kind in ("errors", "centimetres"):
+            errors = [write_errors(draw.path(f"e{k}.tif"), world, form, 0.1) for k in range(4)]
+            errors[1] = write_errors(draw.path("e1.tif"), world, form, 10.0 if kind == "centimetres" else 0.1)
+        made = stage(SERIES, heard, dsms=paths, dates=said, areas=areas, confidences=errors, **target)
         true = 6 * rate * 2500.0
         return off_by(made.volume_m3, true, 3 * made.volume_deviation_m3 + 0.05 * true, "the volume, m3,")
 
@@ -270,7 +287,7 @@ def mosaic(draw: Draw) -> Trial:
     world = draw.world
     left = draw.form(covers=(-SIDE_M / 2, -SIDE_M / 2, 20.0, SIDE_M / 2))
     right = draw.form(covers=(-20.0, -SIDE_M / 2, SIDE_M / 2, SIDE_M / 2), datum=left.datum)
-    kind, fault = draw.kind("", "", "raster", "copy"), ""
+    kind, fault, shown = draw.kind("", "", "errors", "raster", "copy", "relief", "centimetres"), "", world
     if kind == "raster":
         fault, change_it = draw.any_fault()
         right = change_it(right)
@@ -279,14 +296,26 @@ def mosaic(draw: Draw) -> Trial:
         if right.moved != left.moved and world.difference(right, left, (-20.0, 20.0))[1] < _UNSEEN_M:
             # Over smooth ground a displacement changes heights by less than DSMs are wrong.
             fault, right = "", replace(right, moved=left.moved)
-    elif kind:
+    elif kind == "copy":
         fault = "a copy as a second DSM"
+    elif kind == "centimetres":
+        fault = "expected errors in centimetres"
+    elif kind == "relief":
+        fault = "a DSM of another relief"
+        shown = replace(World.drawn(world.seed + 1), lon=world.lon, lat=world.lat, base=world.base)
 
     def run(heard: Heard) -> str:
         one = write(draw.path("a.tif"), world, left, seed=1)
-        other = write(draw.path("b.tif"), world, left if kind == "copy" else right, seed=1 if kind == "copy" else 2)
+        other = write(draw.path("b.tif"), shown, left if kind == "copy" else right, seed=1 if kind == "copy" else 2)
         target = {"output": draw.path("m.tif"), "report": draw.path("r.html"), "crs": world.utm()}
-        made = stage(MOSAIC, heard, dsms=[one, other], **target)
+        errors = []
+        if kind in ("errors", "centimetres"):
+            wrong = 5.0 if kind == "centimetres" else 0.05
+            errors = [
+                write_errors(draw.path(f"e{error}.tif"), world, form, error)
+                for form, error in ((left, 0.05001), (right, wrong))
+            ]
+        made = stage(MOSAIC, heard, dsms=[one, other], confidences=errors, **target)
         above = undulation(world.lon, world.lat) if left.datum == "EGM96" else 0.0
         return _heights_right(str(made.output), world, above, 0.25)
 
@@ -307,10 +336,15 @@ def comparedsm(draw: Draw) -> Trial:
     """A DSM with a known bias against a reference."""
     world, rng = draw.world, draw.rng
     dsm, reference = draw.form(added=float(rng.uniform(-0.4, 0.4))), draw.form()
-    kind, fault = draw.kind("", "", "raster", "copy", "part"), ""
+    kind, fault, align = draw.kind("", "", "raster", "copy", "part", "beside", "classes"), "", "none"
+    if kind == "classes":
+        return _by_class(draw, *CLASSES[int(rng.integers(len(CLASSES)))])
     if kind == "raster":
         fault, change_it = draw.any_fault()
         reference = change_it(reference)
+    elif kind == "beside":
+        fault, align = "a DSM 5 m beside, not aligned", ["none", "vertical"][int(rng.integers(2))]
+        dsm = replace(dsm, moved=(5.0, 0.0))
     elif kind == "copy":
         fault = "the DSM as its own reference"
     elif kind == "part":
@@ -324,11 +358,47 @@ def comparedsm(draw: Draw) -> Trial:
         other = one if kind == "copy" else write(draw.path("b.tif"), world, reference, seed=2)
         if kind == "copy":
             other = write(draw.path("c.tif"), world, dsm, seed=1)
-        made = stage(COMPAREDSM, heard, dsm=one, reference=other, report=draw.path("r.html"))
-        bias, spread = world.difference(dsm, reference)
+        made = stage(COMPAREDSM, heard, dsm=one, reference=other, align=align, report=draw.path("r.html"))
+        bias, spread = world.difference(replace(dsm, moved=(0.0, 0.0)), reference)
         return _first(
             off_by(float(made.bias if made.bias is not None else np.nan), bias, 0.12, "the bias, m,"),
             off_by(float(made.nmad if made.nmad is not None else np.nan), spread, 0.25, "the NMAD, m,"),
+        )
+
+    return Trial(fault or "sound", not fault, run)
+
+
+CLASSES: Tuple[Tuple[str, float, float], ...] = (
+    ("", 0.0, 90.0),
+    ("CLASSES 20 m beside", 20.0, 90.0),
+    ("CLASSES of another place", 400.0, 90.0),
+    ("CLASSES of a tenth", 0.0, 20.0),
+)
+"""How far class rasters of houses lie beside their place, and to where they reach, m."""
+
+
+def _by_class(draw: Draw, fault: str, beside: float, half: float) -> Trial:
+    """The bias of roofs, which is not that of the ground."""
+    world, rng = draw.world, draw.rng
+    while len(world.houses) < 2:
+        world = World.drawn(int(rng.integers(1 << 30)))
+    bias, more = float(rng.uniform(-0.4, 0.4)), float(rng.uniform(0.5, 1.0))
+    dsm, reference = draw.form(added=bias), draw.form()
+    higher = replace(world, houses=tuple((*house[:4], house[4] + more) for house in world.houses))
+
+    def run(heard: Heard) -> str:
+        paths = {"dsm": write(draw.path("a.tif"), higher, dsm, seed=1)}
+        paths["reference"] = write(draw.path("b.tif"), world, reference, seed=2)
+        form = Form(world.utm(), 1.0, _moved((-half, -half, half, half), beside), datum="")
+        transform, shape, x, y = cells_of(world, form)
+        flat = replace(world, base=0.0, slope=(0.0, 0.0), relief=0.0)
+        kinds = np.where(flat.surface(x - beside, y) > 0.0, 6.0, 2.0)
+        paths["classes"] = store(draw.path("k.tif"), kinds, np.zeros(shape, bool), transform, form)
+        found = stage(COMPAREDSM, heard, report=draw.path("r.html"), **paths).by_class
+        roofs, ground = (found[name].bias if name in found else None for name in ("6", "2"))
+        return _first(
+            off_by(np.nan if roofs is None else roofs, bias + more, 0.15, "the bias of roofs, m,"),
+            off_by(np.nan if ground is None else ground, bias, 0.15, "the bias of the ground, m,"),
         )
 
     return Trial(fault or "sound", not fault, run)

@@ -258,8 +258,14 @@ class OtherRelief(Record):
 
     def sentence(self, reference: str) -> str:
         """The sentence for the user."""
-        if self.correlation < 0.5:
+        if self.correlation == 0.0:  # exactly: one of the two is level
+            if self.ratio < 1.0:
+                return f"The surface has no relief, and '{reference}' has: check what the surface shows."
+            return f"'{reference}' has no relief, and the surface has: choose one that shows the heights of this place."
+        if self.correlation < -0.5:
             what = "upside down, or of another place: check that each RPC belongs to its image, and the reference"
+        elif self.correlation < 0.5:
+            what = "of another place, or one of them noise: check that each RPC belongs to its image, and the reference"
         elif 0.6 < self.ratio < 1.6 and self.correlation < 0.95:
             what = "another surface, such as the ground below a forest: check what the reference shows"
         else:
@@ -278,8 +284,9 @@ class ReferenceFigures(Record):
     ``deviation`` (of a direction that the relief does not determine the vendor's promise), and ``determined``
     horizontal directions (unit vectors). ``before_m`` and ``after_m`` are NMADs of the differences, ``bias_m`` their
     median before; ``range_m`` is how far they are correlated. ``other_relief`` is None where the surface has the
-    reference's relief, and where that has too little relief to compare. ``about`` is a sentence about its heights and
-    which of them were taken.
+    reference's relief, and where that has too little relief to compare. ``unsure_m`` is the standard deviation of a
+    direction that is not determined, and the largest with which one is; None where the reference is level. ``about`` is
+    a sentence about its heights and which of them were taken.
     """
 
     file: str
@@ -296,6 +303,7 @@ class ReferenceFigures(Record):
     bias_m: float
     range_m: Metres
     other_relief: Optional[OtherRelief] = None
+    unsure_m: Optional[Tuple[Metres, Metres]] = None
     about: str = ""
 
 

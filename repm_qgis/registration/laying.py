@@ -105,6 +105,7 @@ class Laid:
             bias_m=float(np.median(before)) if len(before) else 0.0,
             range_m=self.shift.range_m,
             other_relief=self.shift.other_relief,
+            unsure_m=self.shift.unsure_m,
             about=self.about,
         )
 

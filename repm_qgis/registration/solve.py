@@ -51,7 +51,8 @@ class Shift:
     surface stays as it was. Of the reference's heights: (N, 2) ``xy`` of those that see the surface, (N,) their
     differences (reference minus surface, m) ``before_m`` (NaN where the surface was not there) and ``after_m``, and
     their ``weight``; ``range_m`` is how far the differences are correlated. ``offsets`` are those of the surface's
-    parts. ``other_relief``: the surface does not have the reference's relief. ``precision`` of all heights of the
+    parts. ``other_relief``: the surface does not have the reference's relief. ``unsure_m``: the standard deviation of a
+    direction that is not determined for its size, and the largest that would be. ``precision`` of all heights of the
     reference is what the difference of each counts for the height of the surface, 1 / m².
     """
 
@@ -65,6 +66,7 @@ class Shift:
     range_m: float
     offsets: Tuple[LocalOffset, ...] = ()
     other_relief: Optional[OtherRelief] = None
+    unsure_m: Optional[Tuple[float, float]] = None
     precision: FloatArray = field(default_factory=lambda: np.empty(0))
 
     @property
@@ -106,7 +108,9 @@ def solve_shift(
     coarse = max(parameters.trusted_widths * max(reference.width_m), parameters.trusted_m)
     most = min(parameters.undetermined * prior.horizontal_m, coarse)
     horizontal, directions = np.linalg.eigh(found[1][:2, :2])
-    good = (horizontal <= most**2) & (not _is_level(xyz[:, 2], found[0], parameters))
+    level = _is_level(xyz[:, 2], found[0], parameters)
+    good = (horizontal <= most**2) & (not level)
+    unsure = None if level or good.all() else (float(np.sqrt(horizontal[~good].max())), most)
     free = directions[:, good].T
     if not good.all():  # undetermined directions stay as they were
         found = problem.back(found, free, tilted)
@@ -128,6 +132,7 @@ def solve_shift(
         range_m=correlation.range_m,
         offsets=tuple(problem.local_offsets(solution, free, correlation)),
         other_relief=other_relief(xyz[seen, 2] - solution.residual[seen], xyz[seen, 2], parameters),
+        unsure_m=unsure,
         precision=solution.weight / solution.noise**2,
     )
 

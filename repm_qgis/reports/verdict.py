@@ -342,15 +342,20 @@ def of_terrain(objects_percent: float) -> List[Finding]:
 def of_registration(figures: RegistrationFigures, bounds: VerdictParameters = VERDICT) -> List[Finding]:
     """The findings of a registration to references."""
     found = []
-    if len(figures.determined) < 2:
+    relief = any(each.other_relief is not None for each in figures.references)  # that is the cause then
+    if len(figures.determined) < 2 and not relief:
+        unsure = min((each.unsure_m for each in figures.references if each.unsure_m is not None), default=None)
         which = f" but along {_azimuth(figures.determined[0])}" if figures.determined else ""
-        found.append(
-            Finding(
-                "relief-level",
-                f"The relief does not determine the horizontal position{which}: there, the scene stays where the "
-                "vendors' RPCs put it. Flat ground only determines the height: see 'Registration'.",
+        stays = "there, the scene stays where the vendors' RPCs put it"
+        if unsure is not None and unsure[0] <= figures.promised_m[0]:
+            text = (
+                f"The heights determine the horizontal position{which} with a standard deviation of {unsure[0]:.2f} m "
+                f"(needed: {unsure[1]:.2f} m): {stays}. Choose a finer reference, or one of more ground."
             )
-        )
+            found.append(Finding("position-unsure", text))
+        else:
+            text = f"The relief does not determine the horizontal position{which}: {stays}."
+            found.append(Finding("relief-level", f"{text} Flat ground only determines the height: see 'Registration'."))
     for words, size, promise in figures.unexpected():
         found.append(
             Finding(

@@ -42,6 +42,26 @@ def test_a_registration_within_what_vendors_promise_is_good():
     assert verdict.of_registration(registration(references=[half])) == []
 
 
+def test_a_position_that_is_not_determined_has_its_own_cause():
+    """Of a real town's lidar, with a relief of 42 m, it was said that flat ground only determines the height."""
+    good = reference("lidar.tif", 6146, 5449)
+    (town,) = verdict.of_registration(registration(references=[replace(good, unsure_m=(0.65, 0.49))], directions=0))
+    assert town.id == "position-unsure" and "deviation of 0.65 m (needed: 0.49 m)" in town and "Flat" not in town
+    for flat in (None, (30.0, 0.49)):
+        (plain,) = verdict.of_registration(registration(references=[replace(good, unsure_m=flat)], directions=0))
+        assert plain.id == "relief-level"
+    causes = {
+        OtherRelief(0.0, 770.0): "'d.tif' has no relief, and the surface has: choose one",
+        OtherRelief(0.0, 0.001): "The surface has no relief, and 'd.tif' has",
+        OtherRelief(
+            -0.01, 1.6
+        ): "not that of 'd.tif' (correlation -0.01, 1.60 times as high): it may be of another place",
+    }
+    for other, words in causes.items():
+        found = verdict.of_registration(registration(references=[reference("d.tif", 9, 8, other)], directions=0))
+        assert [each.id for each in found] == ["relief-other"] and words in found[0]
+
+
 def test_a_registration_is_judged_by_relief_shift_and_agreement():
     (plain,) = verdict.of_registration(registration(directions=1))
     assert "does not determine the horizontal position" in plain

@@ -263,6 +263,7 @@ def test_a_reference_that_is_none_is_named_and_gaps_are_not(
         assert found is not None
         return
     assert found in ids(said) if found else not said.warnings
+    assert "relief-level" not in ids(said)
     if found is None:
         whole = registered[0]
         assert [made.east, made.north, made.up] == pytest.approx([whole.east, whole.north, whole.up], abs=0.1)
