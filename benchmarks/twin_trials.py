@@ -302,7 +302,9 @@ def mosaic(draw: Draw) -> Trial:
         fault = "expected errors in centimetres"
     elif kind == "relief":
         fault = "a DSM of another relief"
-        shown = replace(World.drawn(world.seed + 1), lon=world.lon, lat=world.lat, base=world.base)
+        other = World.drawn(world.seed + 1)
+        hills = float(draw.rng.uniform(3, 8))
+        shown = replace(other, lon=world.lon, lat=world.lat, base=world.base, relief=hills)
 
     def run(heard: Heard) -> str:
         one = write(draw.path("a.tif"), world, left, seed=1)

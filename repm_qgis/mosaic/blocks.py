@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Dict, List, Optional, Sequence, Tuple
 
@@ -73,7 +73,10 @@ def measure_pair(task: PairTask) -> Optional[Overlap]:
                 both = np.isfinite(here) & np.isfinite(there)
                 parts.append(np.stack([here[both], there[both]]).astype(np.float64))
     heights = np.concatenate([np.empty((2, 0)), *parts], axis=1)
-    found = heights[0] - heights[1]
+    found, plan = heights[0] - heights[1], task.parameters
+    cell = max(cell_metres(task.target)) / min(1.0, *(dsm.ratio for dsm in task.dsms))  # of the coarser DSM
+    left = max(plan.most_left_m, plan.most_left_cells * cell)
+    relief = replace(REGISTRATION, most_left_m=left, unexplained=plan.unexplained)
     if found.size < task.parameters.least_cells:
         return None
     seen = sum(window.width * window.height for window in windows)
@@ -86,7 +89,7 @@ def measure_pair(task: PairTask) -> Optional[Overlap]:
         median=float(np.median(found)),
         nmad=nmad(found),
         displaced=_displacement(task),
-        other_relief=other_relief(heights[1], heights[0], REGISTRATION),
+        other_relief=other_relief(heights[1], heights[0], relief),
     )
 
 

@@ -26,6 +26,9 @@ class OffsetParameters(Parameters):
     displaced_gain: float = 0.8  # of the mean deviation, at most, after a shift; otherwise it explains nothing
     most_displaced_m: float = 2.0  # to the side without a warning; and so many cells of the mosaic
     most_displaced_cells: float = 2.0
+    most_left_m: float = 1.0  # spread of the differences of one surface: DSMs of WorldView-3 have 0.2 to 0.4 m, and
+    most_left_cells: float = 1.5  # at most 0.8 cells; more are of another relief, where they leave more than this
+    unexplained: float = 0.5  # of the heights' own spread: DSMs of WorldView-3 leave 0.02 to 0.25
     huber: float = 1.345  # standard deviations: 95 % efficiency (Huber and Ronchetti, Robust Statistics)
     reweightings: int = 30
 

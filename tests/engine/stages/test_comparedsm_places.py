@@ -92,3 +92,18 @@ def test_a_dsm_of_a_mosaic_has_the_relief_of_the_others(tmp_path, noise, wrong, 
     run = Recorder(Silent())
     run_stage("mosaic", {"dsms": dsms, "output": str(tmp_path / "mosaic.tif")}, run)
     assert ("overlap-relief" in {finding.id for finding in run.findings}) == named
+
+
+@pytest.mark.parametrize(("wrong", "named"), ((False, False), (True, True)), ids=("sound", "other"))
+def test_gentle_ground_of_another_place_is_named_in_a_mosaic(tmp_path, noise, wrong, named):
+    """Hills of 2 m differ by less than DSMs of coarse cells do."""
+    rows, columns = np.indices(hills().shape).astype(float)
+    one = 300 + 2 * np.sin(columns / 31) * np.cos(rows / 23) + 0.01 * columns
+    other = 300 + 2 * np.cos(columns / 19) * np.sin(rows / 29) - 0.01 * columns if wrong else one
+    dsms = [
+        write(str(tmp_path / f"{name}.tif"), [heights.astype(np.float32)], (5e5, 1, 0, 5e6, 0, -1), CRS)
+        for name, heights in (("one", one), ("two", other + noise))
+    ]
+    run = Recorder(Silent())
+    run_stage("mosaic", {"dsms": dsms, "output": str(tmp_path / "mosaic.tif")}, run)
+    assert ("overlap-relief" in {finding.id for finding in run.findings}) == named
