@@ -1,7 +1,7 @@
 """Whether a class raster belongs to the reference whose heights it names.
 
 What stands on the ground has classes of its own, so the heights within a class vary least where the raster lies at its
-place. Classes that say nothing of heights vary alike everywhere, and nothing is said of them.
+place. Heights within districts vary as much wherever these lie: such rasters have no finding.
 """
 
 from __future__ import annotations
