@@ -1,7 +1,8 @@
 """Water and clouds: what share of them comes out as nodata, and what is lost on land.
 
-Each pair is matched once; rows show the DSM of what the matcher found, and of what ``matching/reliability.py`` leaves
-of it. The DSMs have the truth's grid, moved by the best whole-cell shift.
+Each pair is matched by intensities once; rows show the DSM of what the matcher found, and of what
+``matching/reliability.py`` leaves of it. A third row is of learned features, with the same check. The DSMs have the
+truth's grid, moved by the best whole-cell shift.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from benchmarks.runner import few, is_quick
 from benchmarks.scenes import Scene, absent, default, quick_size, real
 from benchmarks.tables import Section, table
 from benchmarks.water_and_clouds import CLOUD, LAND, WATER, make_pair
+from repm_qgis.contracts.options import LEARNED
 from repm_qgis.evaluation.coregistration import align
 from repm_qgis.evaluation.metrics import height_metrics
 from repm_qgis.matching import sgm
@@ -56,10 +58,11 @@ def measured(case: Case) -> List[Tuple[str, np.ndarray, float]]:
     )
     kept = kept.in_frame(seen.window, case.frame.size)
     seconds = time.process_time() - start
-    dsms = [case.dsm_of(found) for found in (matched, kept)]
+    other = case.matched(cost=LEARNED)
+    dsms = [case.dsm_of(found) for found in (matched, kept, other)]
     alignment = align("cells" if case.align else "none", [(dsms[0], case.truth)], (1.0, 1.0))
     errors = [alignment.applied(dsm, (1.0, 1.0)) - case.truth for dsm in dsms]
-    return [("matched", errors[0], 0.0), ("supported", errors[1], seconds)]
+    return [("matched", errors[0], 0.0), ("supported", errors[1], seconds), ("learned features", errors[2], 0.0)]
 
 
 def percent(of: np.ndarray, among: np.ndarray) -> Any:

@@ -21,6 +21,7 @@ from benchmarks.runner import few, is_quick, pipeline, there
 from benchmarks.scenes import Scene, absent, default, real
 from benchmarks.tables import Details, Section, table
 from repm_qgis.contracts.arrays import FloatImage
+from repm_qgis.contracts.options import INTENSITY
 from repm_qgis.evaluation.scoring import score
 from repm_qgis.fusion.aggregation import aggregate, rim_cells
 from repm_qgis.fusion.parameters import FUSION
@@ -53,8 +54,14 @@ class MatchedPair:
         self.frame = there(rectified_over_tile(scene, names, tile.bounds, tile.altitudes))
         self.geometry = pair_geometry(self.frame, first, second, tile.altitudes, scene.crs)
 
-    def matched(self, parameters: MatchingParameters = MATCHING, backend: PairBackend = sgm.BACKEND) -> DisparityMap:
-        return match_pair(replace(self.task, parameters=parameters, backend=backend), self.frame, self.geometry)
+    def matched(
+        self,
+        parameters: MatchingParameters = MATCHING,
+        backend: PairBackend = sgm.BACKEND,
+        cost: str = INTENSITY,
+    ) -> DisparityMap:
+        task = replace(self.task, parameters=parameters, backend=backend, cost=cost)
+        return match_pair(task, self.frame, self.geometry)
 
 
 class Case(MatchedPair):

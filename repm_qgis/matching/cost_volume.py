@@ -54,7 +54,7 @@ def winners(first: FloatImage, second: FloatImage, span: int, parameters: Learne
     scale = int(_BYTE / (1 + p.p1 + p.p2))
     one = np.uint8(round(scale * p.p1))
     jump = _penalties(first, one + 1, scale * p.p2, p.contrast)
-    volume = _costs(first, second, span, scale)
+    volume = _costs(first, second, span, scale, np.uint8(round(scale * p.outside)))
     total = _along_rows(volume, one, jump)
     rows = range(len(volume))
     for _ in _along_columns(volume, total, rows, one, jump):
@@ -62,9 +62,9 @@ def winners(first: FloatImage, second: FloatImage, span: int, parameters: Learne
     return _chosen(volume, total, _along_columns(volume, total, rows[::-1], one, jump), scale)
 
 
-def _costs(first: FloatImage, second: FloatImage, span: int, scale: int) -> ByteImage:
-    """(H, span + 1, W) costs 0 to ``scale`` of each offset."""
-    a, b = normalised(first), normalised(second)
+def _costs(first: FloatImage, second: FloatImage, span: int, scale: int, outside: np.uint8) -> ByteImage:
+    """(H, span + 1, W) costs 0 to ``scale`` of each offset; ``outside`` where the second image shows nothing."""
+    a, b, missing = normalised(first), normalised(second), ~np.isfinite(second)
     (height, width), half = first.shape, np.float32(scale / 2)
     volume = np.empty((height, span + 1, width), dtype=np.uint8)
     for top in range(0, height, _ROWS):
@@ -78,7 +78,12 @@ def _costs(first: FloatImage, second: FloatImage, span: int, scale: int) -> Byte
             product = np.matmul(own[:, left:right], other[:, :, left : right + span])
             costs = np.add(product, half + np.float32(0.5)).astype(np.uint8)
             along, down, across = costs.strides
-            band = as_strided(costs, (len(costs), span + 1, right - left), (along, across, down + across))
+            shape = len(costs), span + 1, right - left
+            band = as_strided(costs, shape, (along, across, down + across))
+            unseen = missing[rows, left : right + span]
+            if unseen.any():
+                unseen = as_strided(unseen, shape, (unseen.strides[0], 1, 1))
+                band = np.where(unseen, outside, band)
             volume[rows, :, left:right] = band
     return volume
 

@@ -42,7 +42,8 @@ def match(
     disparity = subpixel_disparity(disparity, first, second, high, parameters.subpixel)
     score = match_score(first, second, disparity, high, p.score_window_px)
     dense = complete(disparity, unchecked, score, np.isfinite(first), height_sign, relief_displacement, parameters)
-    return replace(dense, support=np.float32(p.certain_support) * (1 - doubt))
+    clear = np.minimum(found.margin, np.float32(2)) / 2
+    return replace(dense, support=np.float32(p.support) * (1 + clear - agreed))
 
 
 def _agreement(found: Winners) -> Mask:

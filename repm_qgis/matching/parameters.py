@@ -42,25 +42,26 @@ class SgmParameters(Parameters):
 class LearnedParameters(Parameters):
     """Semi-global matching of a learned cost, 0..1, and the chance that its disparity is wrong; seasons table."""
 
-    p1: float = 0.5  # penalty of a change of disparity by 1 px
-    p2: float = 3.0  # penalty of a greater change
-    contrast: float = 0.3  # of intensity from a pixel to the next, at which that penalty is half as large
+    p1: float = 0.8  # penalty of a change of disparity by 1 px
+    p2: float = 4.0  # penalty of a greater change
+    outside: float = 0.42  # cost of a match beyond the second image, which has no other
+    contrast: float = 0.2  # of intensity from a pixel to the next, at which that penalty is half as large
     mean_px: int = 9  # windows of the means of margin and cost below,
     agreement_px: int = 25  # and of the share of pixels whose match points back to them within 1 px
     odds: Tuple[float, ...] = (
-        3.385,
-        -2.221,
-        -1.074,
-        -1.519,
-        0.97,
+        3.179,
+        -0.795,
+        -1.591,
+        -0.953,
+        0.988,
     )  # logarithm of the odds that a disparity is wrong by
     # more than 3 m: itself, and more for each 1 of margin, lead, agreement and cost; fitted on simulated seasons
     most_doubt: float = 0.8  # chance of that from which on no disparity is used,
-    most_shared_doubt: float = 0.6  # the same where other pairs may fill what this one leaves
+    most_shared_doubt: float = 0.5  # the same where other pairs may fill what this one leaves
     least_doubt: float = 0.3  # and up to which those of one direction alone are
     score_window_px: int = 7  # as of intensities
-    certain_support: float = 0.55  # of a certain disparity, in correlations that intensities would have: over water the
-    # mean doubt is 0.45 and more, and correlations are 0.3 and less; of right heights both have 2 to 7 %
+    support: float = 0.55  # in correlations that intensities would have, of a pixel whose directions do not agree, and
+    # more by half of its margin: over water smoothness alone makes them agree, without margin; masks table
     least_days: float = 1.0  # between two images whose agreement is measured
     most_agreement: float = 0.9  # of intensities at the coarse level, from which on they are the better cost;
     most_undated: float = 0.75  # the same of images without a time: those of one pass have 0.82 to 0.95

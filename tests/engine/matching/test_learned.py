@@ -88,7 +88,7 @@ def test_images_that_share_little_of_their_texture_are_matched():
     first, second = pair_of(lambda c, r: 5.25, seed=4)
     other = cv2.GaussianBlur(np.random.default_rng(9).random(second.shape).astype(np.float32), (0, 0), 1.2)
     other = (other - other.mean()) / other.std() * second.std()
-    changed = np.clip(second + np.float32(2) * other, 0, 1).astype(np.float32)
+    changed = np.clip(second + np.float32(4) * other, 0, 1).astype(np.float32)
     right = {}
     for name, match in ((INTENSITY, sgm.match), (LEARNED, learned.match)):
         found = match(first, changed, (LOW, HIGH), 1.0)
@@ -106,6 +106,30 @@ def test_noise_is_not_matched_with_noise():
     )
     found = learned.match(first, second, (LOW, HIGH), 1.0)
     assert np.isfinite(found.disparity).mean() < 0.1
+
+
+def test_what_lies_beyond_the_second_image_is_not_matched_elsewhere():
+    first, second = pair_of(lambda c, r: 3.0, seed=2)
+    beyond = 80  # columns of the first image that the second one does not show
+    second[:, : beyond + HIGH - 3] = np.nan
+    found = learned.match(first, second, (LOW, HIGH), 1.0)
+    assert not np.isfinite(found.disparity[:, : beyond - 5]).any()
+    shown = found.disparity[:, beyond + 10 :]
+    assert np.isfinite(shown).mean() > 0.8 and abs(np.nanmedian(shown) - 3.0) < 0.05
+
+
+def test_what_smoothness_alone_matches_has_no_support():
+    """A lake is noise in both images, over which the heights of its banks are extended."""
+    first, second = pair_of(lambda c, r: 3.0, seed=5)
+    rng, p = np.random.default_rng(8), MATCHING.learned_reliability
+    lake = np.s_[30:170, 60:200]
+    for image in (first, second):
+        noise = 0.02 * rng.standard_normal(image.shape).astype(np.float32)
+        image[lake] = (np.float32(0.3) + noise)[lake]
+    found = learned.match(first, second, (LOW, HIGH), 1.0)
+    mean = cv2.blur(found.support, (p.support_px, p.support_px))
+    assert np.median(mean[60:140, 90:170]) < p.least_support
+    assert np.quantile(mean[:, 220:-10], 0.1) > p.own_support
 
 
 def test_pixels_without_data_have_no_disparity():
