@@ -22,8 +22,8 @@ class DisparityMap:
 
     ``disparity`` in px, first column minus second column, NaN where there is none. ``score`` is the correlation of the
     matched neighbourhoods, 0..1, NaN where nothing was matched. ``filled`` marks disparities that were not matched but
-    taken from the background beside an occlusion. ``support``, 0..1: what the matcher knows of how well the
-    images support each pixel, beside correlations of their intensities.
+    taken from the background beside an occlusion. ``support``: what the matcher knows of how well the
+    images support each pixel, to be added to correlations of their intensities.
     """
 
     disparity: FloatImage

@@ -43,7 +43,7 @@ def match(
     score = match_score(first, second, disparity, high, p.score_window_px)
     dense = complete(disparity, unchecked, score, np.isfinite(first), height_sign, relief_displacement, parameters)
     clear = np.minimum(found.margin, np.float32(2)) / 2
-    return replace(dense, support=np.float32(p.support) * (1 + clear - agreed))
+    return replace(dense, support=np.float32(p.support) + clear - agreed)
 
 
 def _agreement(found: Winners) -> Mask:

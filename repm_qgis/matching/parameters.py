@@ -60,8 +60,8 @@ class LearnedParameters(Parameters):
     most_shared_doubt: float = 0.5  # the same where other pairs may fill what this one leaves
     least_doubt: float = 0.3  # and up to which those of one direction alone are
     score_window_px: int = 7  # as of intensities
-    support: float = 0.55  # in correlations that intensities would have, of a pixel whose directions do not agree, and
-    # more by half of its margin: over water smoothness alone makes them agree, without margin; masks table
+    support: float = 0.6  # added to correlations, with half of the margin, where both directions do not agree; 1 less
+    # where they do: over water smoothness alone makes them agree, without margin; masks table
     least_days: float = 1.0  # between two images whose agreement is measured
     most_agreement: float = 0.9  # of intensities at the coarse level, from which on they are the better cost;
     most_undated: float = 0.75  # the same of images without a time: those of one pass have 0.82 to 0.95
@@ -174,6 +174,7 @@ class ReliabilityParameters(Parameters):
     shore_support: float = 0.8  # is less than this
     bright: float = 0.6  # intensity of a cloud
     bright_share: float = 0.5  # of its pixels
+    cloud_px: int = 4000  # pixels of it, at least
     cloud_m: float = 80.0  # above its surroundings: no white roof of the least size is so high
     cloud_step_px: float = 2.0  # of disparity between neighbours: more ends a component
     around_px: int = 30  # width of the surroundings
@@ -187,7 +188,6 @@ class LearnedReliabilityParameters(ReliabilityParameters):
 
     own_support: float = 0.4
     least_px: int = 12000
-    shore_support: float = 0.7
 
 
 @dataclass(frozen=True)

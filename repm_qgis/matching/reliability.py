@@ -126,7 +126,7 @@ def _unsupported(
     def support(side: int) -> FloatImage:
         mean = box_filter(side)
         share: FloatImage = mean(score) / np.maximum(mean(expected), np.float32(1e-3))
-        return share if matched.support is None else np.maximum(share, mean(matched.support))
+        return share if matched.support is None else share + mean(matched.support)
 
     weak = shown & (support(parameters.support_px) < parameters.least_support)
     weak = _grown(weak, shown & (support(parameters.own_px) < parameters.own_support), parameters.growth_px)
@@ -172,7 +172,7 @@ def _clouds(height: FloatImage, first: FloatImage, known: Mask, step_m: float, p
     area, reach = facts[:, cv2.CC_STAT_AREA], p.around_px
     shine = np.bincount(component[bright], minlength=count) > p.bright_share * area
     result = np.zeros(known.shape, dtype=bool)
-    for number in np.flatnonzero(shine & (area >= p.least_px)):
+    for number in np.flatnonzero(shine & (area >= p.cloud_px)):
         col, row, width, tall = facts[number, :4]
         part = np.s_[max(row - reach, 0) : row + tall + reach, max(col - reach, 0) : col + width + reach]
         cloud = component[part] == number

@@ -14,6 +14,7 @@ from repm_qgis.matching import learned, pair_backend, sgm
 from repm_qgis.matching.cost_volume import winners
 from repm_qgis.matching.learned_features import FEATURES, features_of_rows, normalised
 from repm_qgis.matching.parameters import MATCHING, LearnedParameters
+from repm_qgis.matching.reliability import mask_unreliable
 from repm_qgis.runtime.progress import Recorder, Silent
 
 from .test_sgm import HIGH, LOW, pair_of
@@ -127,9 +128,11 @@ def test_what_smoothness_alone_matches_has_no_support():
         noise = 0.02 * rng.standard_normal(image.shape).astype(np.float32)
         image[lake] = (np.float32(0.3) + noise)[lake]
     found = learned.match(first, second, (LOW, HIGH), 1.0)
-    mean = cv2.blur(found.support, (p.support_px, p.support_px))
-    assert np.median(mean[60:140, 90:170]) < p.least_support
-    assert np.quantile(mean[:, 220:-10], 0.1) > p.own_support
+    kept = mask_unreliable(
+        found, first, second, disparities=(LOW, HIGH), height_sign=1.0, metres_per_px=1.0, parameters=p
+    )
+    assert np.isfinite(kept.disparity[40:160, 70:190]).mean() < 0.02
+    assert np.isfinite(kept.disparity[:, 220:-10]).mean() > 0.98
 
 
 def test_pixels_without_data_have_no_disparity():
