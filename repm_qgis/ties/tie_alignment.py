@@ -224,20 +224,31 @@ def _registered(
 ) -> Tuple[FloatArray, Mask]:
     """(N, 2) places in the target, near ``there``, that look like those ``here`` in the source; which are good."""
     points, start = (part.astype(np.float32)[:, None] for part in (here, there))
-    found, status, error = _aligned(source, target, points, start, parameters)
-    back, returned, _ = _aligned(target, source, found, points, parameters)
-    near = (_distance(found, start) < parameters.farthest_px) & (_distance(back, points) < parameters.return_px)
-    good = (status > 0) & (returned > 0) & near
+
+    def tried(window: int, most_off: float) -> Tuple[FloatImage, Mask, FloatImage]:
+        found, status, error = _aligned(source, target, points, start, window, parameters)
+        back, returned, _ = _aligned(target, source, found, points, window, parameters)
+        near = (_distance(found, start) < parameters.farthest_px) & (_distance(back, points) < most_off)
+        return found, (status > 0) & (returned > 0) & near, error
+
+    found, good, error = tried(parameters.window_px, parameters.return_px)
+    if good.mean() < parameters.least_alike:
+        found, good, error = tried(parameters.wide_px, parameters.wide_return_px)
     if good.sum() >= parameters.enough:
         good &= error <= np.quantile(error[good], parameters.most_alike)
     return found[:, 0].astype(np.float64), good
 
 
 def _aligned(
-    source: ByteImage, target: ByteImage, points: FloatImage, start: FloatImage, parameters: AlignmentParameters
+    source: ByteImage,
+    target: ByteImage,
+    points: FloatImage,
+    start: FloatImage,
+    side: int,
+    parameters: AlignmentParameters,
 ) -> Tuple[FloatImage, ByteImage, FloatImage]:
     """(N, 1, 2) positions in the target, (N,) whether found, (N,) mean difference of the neighbourhoods."""
-    window, flags = (parameters.window_px,) * 2, cv2.OPTFLOW_USE_INITIAL_FLOW
+    window, flags = (side, side), cv2.OPTFLOW_USE_INITIAL_FLOW
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, parameters.iterations, parameters.stop_px)
     guess, least = start.copy(), parameters.least_texture
     found = cv2.calcOpticalFlowPyrLK(source, target, points, guess, None, None, window, 0, stop, flags, least)
