@@ -72,6 +72,16 @@ def test_of_many_ties_the_most_alike_stay():
     assert len(few) < ALIGNMENT.enough and good.all()
 
 
+def test_images_that_share_half_of_their_texture_are_aligned_in_wider_windows():
+    """As across seasons, where few of the small windows agree."""
+    here = places(8, 320)
+    mixed = ndimage.shift(texture(side=320), (-0.4, 0.7), order=3, mode="nearest") + texture(7, 320) - 128.0
+    target = 128.0 + 40.0 * (mixed - 128.0) / mixed.std()
+    found, good = _registered(as_bytes(texture(side=320)), as_bytes(target), here, here + (0.5, 0.0), ALIGNMENT)
+    error = np.hypot(*(found - here - (0.7, -0.4))[good].T)
+    assert good.mean() > 0.5 and np.median(error) < 0.4
+
+
 def test_evened_images_have_one_contrast_and_do_not_wrap(monkeypatch, urban):
     """A black or white spot on even ground is black or white: numbers beyond a byte would come in at its other end."""
     pixels = texture(5) / 255.0 * np.linspace(0.2, 1.0, 160)  # contrast that grows to the east
