@@ -100,8 +100,8 @@ class AlignmentParameters(Parameters):
     gap: float = 0.1  # of that side: nothing is aligned between ties that are farther apart
     farthest_px: float = 1.5  # SIFT's error is never so large: what moves farther has found something else
     return_px: float = 0.1  # between a position and itself, aligned to the second image and back to the first
-    least_alike: float = 0.25  # share of a patch's ties that can be aligned so: with less, as across seasons, the window
-    wide_px: int = 21  # is wider,
+    least_alike: float = 0.25  # share of a patch's ties that can be aligned so: with less, as across seasons,
+    wide_px: int = 21  # the window is wider,
     wide_return_px: float = 0.3  # and positions return less well
     most_alike: float = 0.7  # share of a patch's ties that stay: at edges of roofs windows hold two parallaxes
     enough: int = 30  # with fewer ties in a patch, that share is not taken
