@@ -269,6 +269,13 @@ def limits() -> List[str]:
 # How much of it is chance -------------------------------------------------------------------------------------------
 
 
+def spread_of_draws(names: Sequence[str], count: int) -> List[object]:
+    """The number of runs with other keypoints, and mean, standard deviation and range of their C1, MAE and RMSE."""
+    runs = np.array([_run(names, contrast) for contrast in few(_CONTRASTS[:count])])
+    figures = zip(runs.mean(axis=0), runs.std(axis=0), runs.min(axis=0), runs.max(axis=0))
+    return [len(runs), *(f"{m:.4g} ± {s:.2g} ({low:.4g} to {high:.4g})" for m, s, low, high in figures)]
+
+
 def _run(names: Sequence[str], contrast: float) -> List[float]:
     """C1, MAE and RMSE of some images' DSM with other keypoints, and so with ties and pointings a little different."""
     ties = replace(TIES, keypoints=replace(TIES.keypoints, contrast=contrast))
@@ -285,11 +292,7 @@ def chance() -> List[str]:
     names, rows = _names(), []
     for label, chosen, count in few((("2", names[:2], 8), ("3, January", list(_JANUARY), 8), ("19", names, 4))):
         say(f"chance, {label} ...")
-        runs = np.array([_run(chosen, contrast) for contrast in few(_CONTRASTS[:count])])
-        figures = zip(runs.mean(axis=0), runs.std(axis=0), runs.min(axis=0), runs.max(axis=0))
-        rows.append(
-            [label, len(runs), *(f"{m:.4g} ± {s:.2g} ({low:.4g} to {high:.4g})" for m, s, low, high in figures)]
-        )
+        rows.append([label, *spread_of_draws(chosen, count)])
     return [
         "How much of this is chance: the same with another threshold of the keypoints' contrast "
         f"({min(_CONTRASTS)} to {max(_CONTRASTS)} instead of {TIES.keypoints.contrast}), which moves the "
