@@ -193,7 +193,7 @@ def lay_on(surfaces: TwoDates, method: str, stable: float, progress: Progress) -
     patches = _patches(surfaces, progress)
     if not any((np.isfinite(before) & np.isfinite(after)).any() for after, before in patches):
         raise EmptyResultError(
-            "No cell has a height in both DSMs: choose DSMs of the same ground, or with fewer holes (FILL)."
+            "No cell of stable ground has a height in both DSMs: choose DSMs of the same ground, with fewer holes."
         )
     found = align(method, patches, surfaces.cell, progress.check_cancelled)
     if method == "none":

@@ -92,6 +92,11 @@ class Outlines(Shapes):
             with raster.quiet():
                 gdal.Polygonize(band, band, self._layer, 0, [], callback=_asked(check))
         check()
+        least = (least_cells - 0.5) * abs(grid.transform[1] * grid.transform[5])
+        features = list(self._layer)
+        for feature in features:  # the sieve leaves what has no larger neighbour
+            if feature.GetGeometryRef().GetArea() < least:
+                self._layer.DeleteFeature(feature.GetFID())
         for number, feature in enumerate(self._layer, start=1):
             feature.SetField("number", number)
             self._layer.SetFeature(feature)
@@ -112,9 +117,9 @@ def _keep_large(signs: str, large: str, least_cells: int, check: Callable[[], No
         if copy is None:
             raise WorkspaceError(f"'{large}' cannot be written ({gdal.GetLastErrorMsg()}): free space on its disk.")
         copy.SetGeoTransform(dataset.GetGeoTransform())
-        target = copy.GetRasterBand(1)
+        target, most = copy.GetRasterBand(1), min(size[0] * size[1], 2**31 - 1)
         with raster.quiet():
-            gdal.SieveFilter(source, None, target, max(least_cells, 1), _CONNECTED, callback=_asked(check))
+            gdal.SieveFilter(source, None, target, min(max(least_cells, 1), most), _CONNECTED, callback=_asked(check))
         check()
         for window, _ in overlapping_blocks(size, 1024):  # the sieve also fills what is small and did not change
             place = window.col, window.row, window.width, window.height

@@ -245,7 +245,7 @@ def _warn_of_heights(found: GcpAccuracy, parameters: GcpParameters) -> None:
     if cause:
         text = (
             f"The DSM's heights differ from the points' by {middle:+.1f} m as a whole, which is usually a geoid or a "
-            f"unit. The points' would change by {cause}: check their unit, GCP_DATUM and the DSM's vertical datum."
+            f"unit. The points' heights would change by {cause}: check their unit, GCP_DATUM and the DSM's datum."
         )
         found.warnings.append(Finding("geoid-likely", text, "doubt"))
     elif abs(middle) > parameters.geoid_m:

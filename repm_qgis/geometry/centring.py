@@ -8,7 +8,7 @@ import numpy as np
 
 from ..contracts.arrays import FloatArray, Size
 from .pinhole import PinholeCamera
-from .refinement import apply_homography
+from .refinement import apply_homography, whole_pixels
 
 
 def centred(camera: PinholeCamera, size: Size) -> Tuple[PinholeCamera, Size]:
@@ -26,7 +26,7 @@ def centred(camera: PinholeCamera, size: Size) -> Tuple[PinholeCamera, Size]:
     focal = abs(np.linalg.det([steps[0] - steps[1], steps[2] - steps[3]])) ** -0.5
     turned = PinholeCamera(np.diag([focal, focal, 1.0]), R, R @ camera.R.T @ camera.t)
     border = apply_homography(turned.K @ shape, image_nodes(size))
-    low, high = np.floor(border.min(axis=0)), np.ceil(border.max(axis=0))
+    low, high = whole_pixels(border.min(axis=0), border.max(axis=0))
     return turned.moved(float(low[0]), float(low[1])), (int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1)
 
 

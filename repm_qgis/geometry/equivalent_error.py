@@ -20,7 +20,7 @@ from .frames import EnuFrame
 from .jitter import Jitter
 from .parameters import VIRTUAL_GRID, VirtualGridParameters
 from .pinhole import PinholeCamera, factorise, fit_projection
-from .refinement import JitteredMap, RefinementMap, Terrain, TerrainMap, fit_map, map_from_mapping
+from .refinement import JitteredMap, RefinementMap, Terrain, TerrainMap, fit_map, map_from_mapping, whole_pixels
 
 Localise = Callable[[FloatArray, FloatArray], FloatArray]
 Shape = Tuple[int, int, int]
@@ -177,7 +177,7 @@ def refine_pinhole(
     col, row, width, height = window
     border = ring(np.linspace(col, col + width - 1, 9), np.linspace(row, row + height - 1, 9))
     corners = to_original.refined_from_original(border)
-    low, high = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
+    low, high = whole_pixels(corners.min(axis=0), corners.max(axis=0))
     if not np.isfinite([low, high]).all():
         raise RpcInvalidError("the RPC gives no refinement that can be inverted: use the image's own RPC.")
     size = (int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1)

@@ -15,7 +15,7 @@ from ..contracts.arrays import FloatArray, Size
 from ..contracts.errors import RpcInvalidError
 from .equivalent_error import RefinedPinhole
 from .pinhole import PinholeCamera
-from .refinement import apply_homography, translation
+from .refinement import apply_homography, translation, whole_pixels
 
 _SHEARS = 61  # shears that are tried: steps of a hundredth
 
@@ -135,7 +135,8 @@ def _frame(
     low = np.maximum(shown.min(axis=0), own.min(axis=0))
     high = np.minimum(shown.max(axis=0), own.max(axis=0))
     low[1], high[1] = max(low[1], other[:, 1].min()), min(high[1], other[:, 1].max())
-    return np.floor(low), np.maximum(np.ceil(high), np.floor(low))
+    first, last = whole_pixels(low, high)
+    return first, np.maximum(last, first)
 
 
 def _corners(size: Size) -> FloatArray:

@@ -7,7 +7,7 @@ the original at M(p') gives it. Pixels are column, row with the first pixel's ce
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Callable, Dict, Mapping, Optional, Protocol, Type, Union
+from typing import Annotated, Any, Callable, Dict, Mapping, Optional, Protocol, Tuple, Type, Union
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from .surface import Surface
 
 # Iterations end long before these limits: they only bound the time on points where a model fails.
 _STEPS = 20
+_DIGITS = 6  # of pixels
 _INVERSE_TOLERANCE_PX = 1e-7
 _LEAST_DETERMINANT = 1e-9  # of maps that are almost the identity
 
@@ -227,6 +228,12 @@ def map_from_mapping(values: Any, camera: PinholeCamera, terrain: Callable[[], O
 def translation(col: float, row: float) -> FloatArray:
     """(3, 3) homography that adds (col, row)."""
     return np.array([[1.0, 0.0, col], [0.0, 1.0, row], [0.0, 0.0, 1.0]])
+
+
+def whole_pixels(low: FloatArray, high: FloatArray) -> Tuple[FloatArray, FloatArray]:
+    """The whole pixels at or before ``low`` and at or after ``high``, (2,) each. What lies on a whole one is there on
+    every machine, whatever the last bits of its sums."""
+    return np.floor(np.round(low, _DIGITS)), np.ceil(np.round(high, _DIGITS))
 
 
 def apply_homography(matrix: FloatArray, points: FloatArray) -> FloatArray:

@@ -35,7 +35,7 @@ _MOST_ITEMS = 16  # files that may be STAC items, beside an image
 _FIRST_YEAR, _LAST_YEAR = 1972, 2100
 _GDALS_OWN = "20021216151629"
 _ISO = re.compile(
-    r"(\d{4})-(\d\d)-(\d\d)[T ]+(\d\d):(\d\d):(\d\d)(?:[.,](\d{1,9}))?\s*(?:Z|UTC|([+-])(\d\d):?(\d\d))?",
+    r"(\d{4})-(\d\d)-(\d\d)[T ]+(\d\d):(\d\d)(?::(\d\d)(?:[.,](\d{1,9}))?)?\s*(?:Z|UTC|([+-])(\d\d):?(\d\d))?",
     re.ASCII | re.IGNORECASE,
 )
 _COMPACT = re.compile(r"(\d{4})(\d\d)(\d\d)(\d\d)(\d\d)(\d\d)(?:\.?(\d{1,9}))?", re.ASCII)
@@ -107,7 +107,7 @@ def moment(text: str) -> Optional[datetime]:
     if not match or not _FIRST_YEAR <= int(match[1]) <= _LAST_YEAR:
         return None
     try:
-        year, month, day, hour, minute, second = (int(part) for part in match.groups()[:6])
+        year, month, day, hour, minute, second = (int(part or 0) for part in match.groups()[:6])
         found = datetime(year, month, day, hour, minute, second, tzinfo=timezone.utc)
     except ValueError:
         return None

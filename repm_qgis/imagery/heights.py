@@ -136,17 +136,19 @@ def stray_numbers(dataset: gdal.Dataset, band: int = 1) -> StrayNumbers:
     marked = stated & np.isin(values, _UNDECLARED) & plain
     heights = _possible(_scaled(values, to_metres(dataset, band)))
     left = np.isfinite(heights)
-    share, constant_m = _constant(heights[left & ~marked])
+    share, constant_m = _constant(heights[left & ~marked], values[left & ~marked])
     impossible = float((stated & ~marked & ~left).mean())
     return StrayNumbers(impossible, float(marked.mean()), share * float((left & ~marked).mean()), constant_m)
 
 
-def _constant(heights: FloatImage) -> Tuple[float, float]:
+def _constant(heights: FloatImage, numbers: FloatImage) -> Tuple[float, float]:
     """The share of (N,) heights that are exactly the lowest or the highest, where many are and the next one is far; and
-    that height, m."""
+    that height, m. Their ``numbers`` in the file are whole ones: a level roof hardly has such a height."""
     for end in (np.min, np.max):
         if heights.size:
             value = end(heights)
+            if end(numbers) != np.rint(end(numbers)):
+                continue
             others = heights[heights != value]
             share = 1.0 - others.size / heights.size
             many = heights.size - others.size >= _CONSTANT_CELLS and share > _CONSTANT_SHARE

@@ -107,7 +107,7 @@ def comparison_findings(compared: Sequence[Comparison]) -> List[Finding]:
 def _place_findings(one: Comparison, bounds: VerdictParameters = VERDICT) -> List[Finding]:
     """Whether the heights compared are those of one place, by their means over blocks of cells."""
     if one.metrics.cells < bounds.least_compared_cells:
-        text = f"Only {one.metrics.cells} cells were compared, too few to judge the DSM by"
+        text = f"Too few cells to judge the DSM by were compared ({one.metrics.cells})"
         return [Finding("compared-cells", f"{text}; choose a reference that covers more of it.", "doubt")]
     found = []
     ours, theirs = (one.thumbnails[name] for name in ("dsm", "reference"))

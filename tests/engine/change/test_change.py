@@ -303,7 +303,8 @@ def test_blocks_change_nothing(dates, tmp_path, told):
 
 def test_small_changes_are_left_out(dates, tmp_path, told):
     assert change(*dates, tmp_path, told, min_area=450).gained_m3 == 0
-    assert change(*dates, tmp_path, told, min_area=700).changes == 0
+    for more in (700, 1e9):
+        assert change(*dates, tmp_path, told, min_area=more).changes == 0
 
 
 def test_what_cannot_be_compared_is_refused_in_a_sentence(dates, tmp_path, told):
@@ -317,7 +318,7 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence(dates, tmp_path, told)
         (dates[0], {}, OptionError, "is the same file as BEFORE"),
         (other, {}, ImageError, "has heights in 'furlong'"),
         (away, {}, OverlapError, "do not overlap"),
-        (empty, {}, EmptyResultError, "No cell has a height in both DSMs"),
+        (empty, {}, EmptyResultError, "No cell .*has a height in both DSMs"),
         (dates[1], both, OptionError, "AFTER_CONFIDENCE"),
         (dates[1], {**both, "after_confidence": bands}, ImageError, "of AFTER_CONFIDENCE has 2 bands"),
         (dates[1], {"min_area": -1}, OptionError, "MIN_AREA"),

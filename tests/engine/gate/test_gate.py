@@ -253,6 +253,8 @@ def test_a_void_that_could_be_a_height_is_named_and_a_single_tower_is_not(tmp_pa
     sparse[0, 0] += 140.0
     holes = surface()
     holes[:40, :40] = 0.0
-    for values, share in ((surface(), 0.0), (sparse, 0.0), (holes, 1600 / SIDE**2)):
+    roof = surface()
+    roof[:40, :40] = np.floor(surface().max()) + 72.3012
+    for values, share in ((surface(), 0.0), (sparse, 0.0), (holes, 1600 / SIDE**2), (roof, 0.0)):
         with raster.opened(written(tmp_path / "x.tif", values)) as dataset:
             assert stray_numbers(dataset).constant == pytest.approx(share)

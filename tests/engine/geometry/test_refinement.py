@@ -19,6 +19,7 @@ from repm_qgis.geometry.refinement import (
     map_from_mapping,
     polynomial_terms,
     translation,
+    whole_pixels,
 )
 from repm_qgis.rpc.readers import read_rpc_file
 
@@ -134,3 +135,10 @@ def test_unknown_models_and_kinds():
     with pytest.raises(Misfit, match="to_original.kind is 'spline': it must be homography, polynomial or terrain"):
         map_from_mapping({"kind": "spline"}, None, None)
     np.testing.assert_array_equal(apply_homography(translation(3, 4), np.zeros(2)), [3, 4])
+
+
+def test_a_frame_does_not_hang_on_the_last_bits_of_its_corners():
+    """Sums of other orders, as of another number of threads, differ by so much."""
+    for bits in (-1e-12, 0.0, 1e-12):
+        low, high = whole_pixels(np.array([3.0 + bits, -2.0 - bits]), np.array([900.0 - bits, 7.25]))
+        assert (*low, *high) == (3.0, -2.0, 900.0, 8.0)
