@@ -135,8 +135,8 @@ def _frame(
     low = np.maximum(shown.min(axis=0), own.min(axis=0))
     high = np.minimum(shown.max(axis=0), own.max(axis=0))
     low[1], high[1] = max(low[1], other[:, 1].min()), min(high[1], other[:, 1].max())
-    first, last = whole_pixels(low, high)
-    return first, np.maximum(last, first)
+    start, end = whole_pixels(low, high)
+    return start, np.maximum(end, start)
 
 
 def _corners(size: Size) -> FloatArray:
