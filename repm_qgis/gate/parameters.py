@@ -37,6 +37,7 @@ class GateParameters(Parameters):
     near_m: float = (
         5.0  # of a DSM's heights to a terrain, where ground is compared with ground; larger misfits count so
     )
+    most_uncertain_m: float = 2.0  # standard deviation of a reference's own height
     most_displaced_m: float = 2.0  # between a terrain and a DSM; and so many cells
     most_displaced_cells: float = 2.0
     displaced_gain: float = 0.8  # of the misfit, at most, after the shift; otherwise it explains nothing

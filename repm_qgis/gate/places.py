@@ -8,11 +8,11 @@ from typing import Callable, List, Sequence, Tuple
 import numpy as np
 
 from ..contracts.arrays import Window
-from ..contracts.errors import EmptyResultError
+from ..contracts.errors import EmptyResultError, ImageError
 from ..contracts.findings import Finding, as_percent
 from ..evaluation.coregistration import Patch, align
 from ..evaluation.grids import Grid, cell_metres
-from ..imagery.heights import read_heights
+from ..imagery.heights import read_heights, stated_deviation
 from ..imagery.raster import opened
 from .parameters import GATE, GateParameters
 
@@ -71,3 +71,14 @@ def partial_finding(share: float, paths: Sequence[str], parameters: GateParamete
     names = ", ".join(f"'{path}'" for path in paths)
     text = f"Only {as_percent(share)} of the ground that the largest DSM covers has heights in {names}"
     return [Finding("dates-partial", f"{text}: nothing is known of the rest. Cut the DSMs to one area, if it matters.")]
+
+
+def uncertain_findings(path: str, parameters: GateParameters = GATE) -> List[Finding]:
+    """Whether a reference is a DSM that states an uncertain height of its own, as ours do without a reference."""
+    deviation = None
+    with suppress(ImageError), opened(path) as dataset:  # else a table or a cloud
+        deviation = stated_deviation(dataset)
+    if deviation is None or deviation <= parameters.most_uncertain_m:
+        return []
+    text = f"'{path}' is a DSM whose own height is uncertain (standard deviation {deviation:.1f} m)"
+    return [Finding("reference-uncertain", f"{text}: the scene then lies as this DSM does, not better.")]

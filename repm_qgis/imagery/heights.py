@@ -19,7 +19,7 @@ from ..contracts.arrays import FloatImage, Size, Window
 from ..contracts.checks import as_text
 from ..contracts.errors import ImageError
 from ..geometry.height_causes import FOOT_M
-from ..geometry.vertical import metres_per_unit
+from ..geometry.vertical import DEVIATION_TAG, metres_per_unit
 from . import raster
 
 LOWEST_M, HIGHEST_M = -12000.0, 9000.0
@@ -112,6 +112,15 @@ def void_share(dataset: gdal.Dataset, window: Optional[Window] = None, band: int
         stated = np.isfinite(raster.read(dataset, strip, band))
         voids += int((stated & ~np.isfinite(read_heights(dataset, strip, band))).sum())
     return voids / max(whole.width * whole.height, 1)
+
+
+def stated_deviation(dataset: gdal.Dataset) -> Optional[float]:
+    """The standard deviation of the absolute height that a raster states, m; None where it states none, or nonsense."""
+    try:
+        found = float(as_text(dataset.GetMetadataItem(DEVIATION_TAG) or ""))
+    except ValueError:
+        return None
+    return found if 0.0 <= found < math.inf else None
 
 
 class StrayNumbers(NamedTuple):

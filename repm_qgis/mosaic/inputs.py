@@ -21,9 +21,9 @@ from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import flat_crs, on_earth, projected_crs_at, utm_crs, vertical_part
 from ..geometry.ground_metric import MOST_DISTORTION, GroundMetric
 from ..geometry.tiles import enclosing
-from ..geometry.vertical import DEVIATION_TAG, ELLIPSOID, TAG, HeightDatum
+from ..geometry.vertical import ELLIPSOID, TAG, HeightDatum
 from ..imagery.confidence import confidence_bands
-from ..imagery.heights import to_metres
+from ..imagery.heights import stated_deviation, to_metres
 from ..imagery.raster import opened
 from ..runtime.progress import Progress, warn_all
 from .parameters import MOSAIC
@@ -129,7 +129,7 @@ def looked_at(dataset: gdal.Dataset, path: str) -> Found:
     grid = replace(Grid.of(dataset), path=path)
     require_place(grid)
     to_metres(dataset)  # raises ImageError where that cannot be
-    crs, deviation = grid.crs, _stated_deviation(dataset)
+    crs, deviation = grid.crs, stated_deviation(dataset)
     vertical = vertical_part(crs)
     if vertical is None:
         name = as_text(dataset.GetMetadataItem(TAG) or "")
@@ -137,15 +137,6 @@ def looked_at(dataset: gdal.Dataset, path: str) -> Found:
     if crs.is_compound:
         return Found(grid, HeightDatum.of(crs.to_wkt("WKT2_2019")), deviation)
     return Found(grid, HeightDatum("", ELLIPSOID if "WGS 84" in vertical else vertical), deviation)
-
-
-def _stated_deviation(dataset: gdal.Dataset) -> Optional[float]:
-    """The standard deviation of the absolute height that a raster states, m; None where it states none, or nonsense."""
-    try:
-        found = float(as_text(dataset.GetMetadataItem(DEVIATION_TAG) or ""))
-    except ValueError:
-        return None
-    return found if 0.0 <= found < math.inf else None
 
 
 def _common_datum(paths: Sequence[str], found: Sequence[Found], progress: Progress) -> Optional[HeightDatum]:

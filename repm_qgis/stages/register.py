@@ -22,6 +22,7 @@ from ..contracts.results import RegisterResult
 from ..files.vector import copy_layer, file_and_layer, write_layer
 from ..fusion.own_surface import own_surface
 from ..fusion.reference_waves import with_reference_waves
+from ..gate.places import uncertain_findings
 from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import geodetic_from_projected
 from ..geometry.tiles import enclosing
@@ -199,6 +200,7 @@ def _work(
         try:
             around = bounds.grown(prior.most_m)
             found.append(read_reference(path, scene.crs, around, numbers.averaged_cells * finest, check))
+            warn_all(progress, uncertain_findings(path))
             if found[-1].about:
                 progress.info(f"'{os.path.basename(path)}': {found[-1].about}")
         except OverlapError:

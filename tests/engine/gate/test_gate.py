@@ -12,6 +12,7 @@ from osgeo import gdal
 from repm_qgis.contracts.errors import ImageError, OptionError
 from repm_qgis.gate.companions import confidence_findings, picture_findings, terrain_findings
 from repm_qgis.gate.content import copies
+from repm_qgis.gate.places import uncertain_findings
 from repm_qgis.gate.times import order_findings, require_possible, time_findings
 from repm_qgis.imagery import raster
 from repm_qgis.imagery.heights import stray_numbers
@@ -258,3 +259,16 @@ def test_a_void_that_could_be_a_height_is_named_and_a_single_tower_is_not(tmp_pa
     for values, share in ((surface(), 0.0), (sparse, 0.0), (holes, 1600 / SIDE**2), (roof, 0.0)):
         with raster.opened(written(tmp_path / "x.tif", values)) as dataset:
             assert stray_numbers(dataset).constant == pytest.approx(share)
+
+
+def test_a_reference_that_states_an_uncertain_height_is_named(tmp_path):
+    """As a DSM of a scene that was not registered does: its heights are no truth."""
+    path = str(tmp_path / "dsm.tif")
+    written(path, surface())
+    for stated, named in ((None, False), ("0.31", False), ("36.962", True), ("nonsense", False)):
+        with raster.quiet():
+            source = gdal.Open(path, gdal.GA_Update)
+            source.SetMetadataItem("REPM_HEIGHT_DEVIATION", stated)
+            source = None  # noqa: F841 - closes it
+        assert bool(uncertain_findings(path)) == named, stated
+    assert not uncertain_findings(__file__)
