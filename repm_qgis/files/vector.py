@@ -64,10 +64,9 @@ def open_layer(file: str, name: str = "") -> Tuple[Optional[gdal.Dataset], Optio
 
 
 def reference_of(layer: ogr.Layer) -> Optional[osr.SpatialReference]:
-    """A layer's CRS, x before y; None where it states none, or one without a place on the Earth: GeoPackages have
-    "Undefined SRS"."""
+    """A layer's CRS, x before y; None where it states none: GeoPackages have "Undefined SRS"."""
     stated = layer.GetSpatialRef()
-    if stated is None or stated.IsLocal() or str(stated.GetName()).startswith("Undefined"):
+    if stated is None or str(stated.GetName()).startswith("Undefined"):
         return None
     own = stated.Clone()
     own.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)
@@ -75,9 +74,9 @@ def reference_of(layer: ogr.Layer) -> Optional[osr.SpatialReference]:
 
 
 def require_reference(layer: ogr.Layer, path: str) -> osr.SpatialReference:
-    """As :func:`reference_of`; raises InputTableError, with the layer's file, where there is none."""
+    """As :func:`reference_of`; raises InputTableError, with the layer's file, where there is none on the Earth."""
     own = reference_of(layer)
-    if own is None:
+    if own is None or own.IsLocal():
         raise InputTableError(
             f"The layer '{path}' has no coordinate reference system: assign it one first (Assign projection, in the "
             "processing toolbox)."
