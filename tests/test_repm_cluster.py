@@ -92,7 +92,7 @@ def test_a_local_cluster_works_and_ends_with_all_that_it_started(tmp_path, how):
             os.killpg(process.pid, signal.SIGINT)
         else:
             process.send_signal(getattr(signal, f"SIG{how}"))
-        assert process.wait(30) == (-signal.SIGKILL if how == "KILL" else 0)
+        assert process.wait(10) == (-signal.SIGKILL if how == "KILL" else 0)
         deadline = time.monotonic() + 10
         while alive(process.pid):
             assert time.monotonic() < deadline, "a worker lives on"

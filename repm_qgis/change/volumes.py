@@ -93,8 +93,7 @@ class Outlines(Shapes):
                 gdal.Polygonize(band, band, self._layer, 0, [], callback=_asked(check))
         check()
         least = (least_cells - 0.5) * abs(grid.transform[1] * grid.transform[5])
-        features = list(self._layer)
-        for feature in features:  # the sieve leaves what has no larger neighbour
+        for feature in list(self._layer):  # the sieve leaves what has no larger neighbour
             if feature.GetGeometryRef().GetArea() < least:
                 self._layer.DeleteFeature(feature.GetFID())
         for number, feature in enumerate(self._layer, start=1):

@@ -318,7 +318,7 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence(dates, tmp_path, told)
         (dates[0], {}, OptionError, "is the same file as BEFORE"),
         (other, {}, ImageError, "has heights in 'furlong'"),
         (away, {}, OverlapError, "do not overlap"),
-        (empty, {}, EmptyResultError, "No cell .*has a height in both DSMs"),
+        (empty, {}, EmptyResultError, "No cell of stable ground has a height in both DSMs"),
         (dates[1], both, OptionError, "AFTER_CONFIDENCE"),
         (dates[1], {**both, "after_confidence": bands}, ImageError, "of AFTER_CONFIDENCE has 2 bands"),
         (dates[1], {"min_area": -1}, OptionError, "MIN_AREA"),

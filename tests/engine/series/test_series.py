@@ -385,7 +385,7 @@ def test_what_cannot_be_followed_is_refused_in_a_sentence(dates, tmp_path, told)
         ([*two, away], {}, OverlapError, "no ground in common"),
         ([*dates[:3], away], {}, OverlapError, "do not overlap"),
         ([*two, feet], {}, ImageError, "has heights in 'furlong'"),
-        ([*two, empty], {}, EmptyResultError, "No cell .*has a height in both DSMs"),
+        ([*two, empty], {}, EmptyResultError, "No cell of stable ground has a height in both DSMs"),
         (dates[:3], {"areas": outside}, OverlapError, "No polygon of"),
         (dates[:3], {"areas": dates[0]}, InputTableError, "choose a layer of polygons"),
     ):
