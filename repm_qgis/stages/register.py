@@ -171,6 +171,8 @@ def _registered(
     if not any(work.laid for work in works) and options.reference:
         names = ", ".join(f"'{path}'" for path in options.reference)
         raise OverlapError(f"No reference ({names}) covers the scene: choose one that does.")
+    for name in dict.fromkeys(laid.reference.name for work in works for laid in work.laid):
+        warn_all(progress, uncertain_findings(name))
     warn_all(progress, contradictions(observations, parameters.registration))
     observations += [Observation.of_shift("an overlap", shift, i, j) for i, j, shift in between]
     centres = [work.surface.grid.middle for work in works]
@@ -200,7 +202,6 @@ def _work(
         try:
             around = bounds.grown(prior.most_m)
             found.append(read_reference(path, scene.crs, around, numbers.averaged_cells * finest, check))
-            warn_all(progress, uncertain_findings(path))
             if found[-1].about:
                 progress.info(f"'{os.path.basename(path)}': {found[-1].about}")
         except OverlapError:
