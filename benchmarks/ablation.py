@@ -87,7 +87,7 @@ def west() -> Dict[str, List[str]]:
 
 
 def _west(label: str, names: Sequence[str]) -> Scene:
-    return Scene(f"jax_068, {label}", towns._images(names), towns._LIDAR.heights, 0.5, True)
+    return Scene(f"jax_068, {label}", towns.images_of(names), towns._LIDAR.heights, 0.5, True)
 
 
 def _district(label: str) -> Scene:

@@ -43,9 +43,9 @@ class Errors:
     maps: np.ndarray
 
 
-def errors(images: Sequence[str], truth: str, folder: str, doubtful: Optional[str] = None) -> Errors:
-    """The errors of a default DSM; those of cells where a raster on the ground is not 0 (``doubtful``) are left out."""
-    made = pipeline(images, folder, confidence=f"{folder}/confidence.tif")
+def errors(images: Sequence[str], truth: str, folder: str, doubtful: Optional[str] = None, **options: object) -> Errors:
+    """The errors of a DSM; those of cells where a raster on the ground is not 0 (``doubtful``) are left out."""
+    made = pipeline(images, folder, confidence=f"{folder}/confidence.tif", **options)
     shift = stage(COMPAREDSM, dsm=made.output, reference=truth, align="3d")
     dataset = gdal.Open(made.output)
     west, cell, _, north, _, _ = dataset.GetGeoTransform()

@@ -87,7 +87,7 @@ def scenes() -> List[Tuple[Scene, Sequence[Way]]]:
     found = [(scene, WAYS) for scene in real()] + [(scene, two) for scene in whu_tlc()[:1]]
     if towns._FOLDER.exists():
         sets = [(2, towns._names()[:2]), (3, list(towns._JANUARY))]
-        names = [(f"jax_068, {count} images", towns._images(numbers)) for count, numbers in sets]
+        names = [(f"jax_068, {count} images", towns.images_of(numbers)) for count, numbers in sets]
         found += [(Scene(name, images, towns._LIDAR.heights, 0.5, True), two) for name, images in names]
     return found
 

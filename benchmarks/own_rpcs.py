@@ -39,7 +39,7 @@ def sound_scenes() -> Iterator[Tuple[str, Sequence[str]]]:
     if towns._FOLDER.exists():
         names = towns._names()
         for chosen in (names[:2], names[:3], ["006", "007"], ["009", "010"]):
-            yield "jax_068 " + " ".join(name[-3:] for name in chosen), towns._images(chosen)
+            yield "jax_068 " + " ".join(name[-3:] for name in chosen), towns.images_of(chosen)
     for scene in whu_tlc():
         yield scene.name, scene.images
     for kind, seeds in (("urban", (4, 5, 6, 7, 8)), ("mountains", (3, 5, 6, 7))):

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import replace
-from typing import List, Sequence
+from itertools import combinations
+from typing import Dict, List, Sequence
 
-from benchmarks.runner import ROOT, few, is_quick, made_by, say
+import numpy as np
+
+from benchmarks.confidence import errors
+from benchmarks.runner import ROOT, Failed, few, is_quick, made_by, say
 from benchmarks.scenes import CACHE, SHARED, made_once
 from benchmarks.simulated.dates import WORLDVIEW3_JACKSONVILLE, DatedSpec, make_dated_scene
 from benchmarks.simulated.parameters import DATED, REAL
 from benchmarks.tables import Section, table
-from benchmarks.towns import spread_of_draws
+from benchmarks.towns import images_of, spread_of_draws, write_mid_air
 from repm_qgis.contracts.options import INTENSITY
 from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.runtime.progress import Silent
 
 _TOWN = SHARED / "jax_068"
+_TRUTH = str(_TOWN / "truth_west.tif")
 _SETS = {
     "006 + 018, December and May": "006 018",
     "005 + 020, October and July": "005 020",
@@ -45,8 +50,7 @@ def seasons() -> List[str]:
     rows: List[List[object]] = []
     if _TOWN.exists():
         for label, names in few(_SETS.items()):
-            images = [str(_TOWN / f"JAX_068_{name}_RGB.tif") for name in names.split()]
-            rows.append(_row(label, images, str(_TOWN / "truth_west.tif")))
+            rows.append(_row(label, images_of(names.split()), _TRUTH))
     for seed, (label, chosen) in enumerate(() if is_quick() and rows else few(_SIMULATED.items()), start=11):
         spec = DatedSpec(seed=seed, acquisitions=tuple(WORLDVIEW3_JACKSONVILLE[number] for number in chosen))
         folder = CACHE / f"seasons_{seed}_{int(spec.side_m)}"
@@ -80,5 +84,54 @@ def draws() -> List[str]:
     ]
 
 
-PARTS = {"seasons": seasons, "draws": draws}
+def stated() -> List[str]:
+    """How many errors are larger than what is stated of them."""
+    if not _TOWN.exists():
+        return [f"jax_068 was not measured: absent from '{SHARED}'."]
+    rows: List[List[object]] = []
+    for label, names in few(sorted(_SETS.items(), key=lambda item: len(item[1]))):
+        for cost in (INTENSITY, "auto"):
+            say(f"{label}, {cost}, stated errors ...")
+            with tempfile.TemporaryDirectory() as folder:
+                doubtful = write_mid_air(f"{folder}/mid_air.tif")
+                options = {"resolution": 0.5, "matching_cost": cost}
+                found = errors(images_of(names.split()), _TRUTH, folder, doubtful, **options)
+            within = (found.error <= found.expected, found.error > 3 * found.expected, found.error <= found.le90)
+            rows.append([label, cost, *(100.0 * float(part.mean()) for part in within)])
+    return [
+        "Heights within their expected error (two thirds wanted), wrong by more than three of them, and within their "
+        "LE90 (nine of ten wanted); without the lidar's cells in mid-air.",
+        table("images | cost | within, % | wrong, % | within LE90, %", rows),
+    ]
+
+
+def pairs() -> List[str]:
+    """All pairs of the real town by both costs: the mean and the quartiles."""
+    if not _TOWN.exists():
+        return [f"jax_068 was not measured: absent from '{SHARED}'."]
+    numbers = sorted(path.name.split("_")[2] for path in _TOWN.glob("JAX_068_*_RGB.tif"))
+    shares: Dict[str, List[float]] = {INTENSITY: [], "auto": []}
+    for pair in few(combinations(numbers, 2)):
+        for cost, found in shares.items():
+            say(f"{' + '.join(pair)}, {cost} ...")
+            with tempfile.TemporaryDirectory() as folder:
+                try:
+                    dsm, _ = made_by(ROOT, images_of(pair), folder, resolution=0.5, matching_cost=cost)
+                    found.append(dict(score_files(dsm, _TRUTH, "3d").metrics.completeness)[1.0])
+                except Failed as error:
+                    say(error)
+                    found.append(0.0)
+    gain = np.subtract(shares["auto"], shares[INTENSITY])
+    values = {**shares, "auto less intensity": gain}
+    rows = [
+        [name, len(found), float(np.mean(found)), *map(float, np.percentile(found, (0, 25, 50, 75, 100)))]
+        for name, found in values.items()
+    ]
+    return [
+        "Every two images of `jax_068`, the western half: the share of cells within 1 m, % (0: no DSM).",
+        table("cost | pairs | mean | least | lower quartile | median | upper quartile | most", rows),
+    ]
+
+
+PARTS = {"seasons": seasons, "draws": draws, "stated": stated, "pairs": pairs}
 SECTIONS = [Section("seasons", "Images of different seasons", "make bench-seasons", PARTS)]

@@ -43,7 +43,7 @@ def works() -> Iterator[Work]:
     yield Work("ZY-3, 3 x 2048 px", simulated("zy3_2048", zy3(2048, 1500.0), 5.0))
     if towns._FOLDER.exists():
         for count in (2, 19):
-            images = towns._images(towns._names()[:count])
+            images = towns.images_of(towns._names()[:count])
             yield Work(f"jax_068, {count} images", Scene("jax_068", images, towns._LIDAR.heights, 0.5, True))
     for scene in whu_tlc()[:1]:
         yield Work(scene.name, scene)

@@ -60,7 +60,7 @@ def _names() -> List[str]:
     return names[: 4 if is_quick() else None]
 
 
-def _images(names: Sequence[str]) -> List[str]:
+def images_of(names: Sequence[str]) -> List[str]:
     """The images' files by their numbers."""
     return [str(_FOLDER / f"JAX_068_{name}_RGB.tif") for name in names]
 
@@ -110,7 +110,7 @@ def _made(images: Sequence[str], folder: str, tree: Path = ROOT, **options: obje
 
 def _rows(label: str, names: Sequence[str]) -> List[List[object]]:
     """The DSM of some images with its holes, and with holes interpolated."""
-    images = _images(names)
+    images = images_of(names)
     with tempfile.TemporaryDirectory() as folder:
         dsm, cost = _made(images, folder, **quick_area())
         full = stage(DSMFUSE, scene=f"{folder}/w/reconstructed.json", output=f"{folder}/full.tif", fill="all").output
@@ -137,7 +137,7 @@ def real_sets() -> List[Tuple[str, List[str]]]:
         return []
     names = _names()
     sets = {"2": names[:2], "3, January": list(_JANUARY), "6": names[:6], "every second date": names[::2]}
-    return [(f"jax_068, {label}", _images(chosen)) for label, chosen in sets.items()]
+    return [(f"jax_068, {label}", images_of(chosen)) for label, chosen in sets.items()]
 
 
 def simulated_town(dates: int) -> Path:
@@ -243,7 +243,7 @@ def limits() -> List[str]:
     for label, chosen in sets.items():
         say(f"limits, {label} ...")
         with tempfile.TemporaryDirectory() as folder:
-            dsm = _made(_images(chosen), folder, ROOT, **quick_area())[0]
+            dsm = _made(images_of(chosen), folder, ROOT, **quick_area())[0]
             errors[label] = score_files(dsm, _LIDAR.heights, "3d").error
             spread = spread or _aligned_otherwise(dsm, 0.15)
     whole, *halves = errors.values()
@@ -282,7 +282,7 @@ def _run(names: Sequence[str], contrast: float) -> List[float]:
     pointing = replace(ENGINE.pointing, ties=ties)
     with tempfile.TemporaryDirectory() as folder:
         options = {"resolution": 0.5, **quick_area()}
-        dsm = pipeline(_images(names), folder, Silent(), replace(ENGINE, pointing=pointing), **options).output
+        dsm = pipeline(images_of(names), folder, Silent(), replace(ENGINE, pointing=pointing), **options).output
         return _c1_mae_rmse(score_files(dsm, _LIDAR.heights, "3d").error)
 
 
@@ -310,7 +310,7 @@ def quality() -> List[str]:
     cases: List[Tuple[str, List[str], str, str]] = []
     if _FOLDER.exists():
         for label, names in (("6 images", _names()[: 3 if is_quick() else 6]), ("3, January", list(_JANUARY))):
-            images = _images(names)
+            images = images_of(names)
             cases.append((f"`jax_068`, {label}", images, _LIDAR.heights, "3d"))
     if not (cases and is_quick()):
         scenes = [*real("truth_urban", "pleiades_pair"), default("urban", 800, 4), default("mountains", 400, 7)]

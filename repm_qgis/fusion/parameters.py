@@ -144,7 +144,9 @@ class ErrorParameters(Parameters):
     of_sigma: float = 0.8  # of the standard deviation of matched heights, over the root of their number
     of_relief: float = 0.12  # of the relief around them: a height may lie anywhere in its cell; but not of more than
     relief_m: float = 4.0  # so much
+    of_tail: float = 0.13  # of the deviation of gross errors, below
     least_m: float = 0.7  # of heights that no map has, and more:
+    least_shadow_m: float = 2.0  # the same in a shadow, where the ground beside it may be a roof
     of_background: float = 0.35  # of the relief around them, behind an occlusion
     of_shadow: float = 0.3  # in a shadow
     of_neighbours: float = 0.35  # from the cells beside them

@@ -71,7 +71,8 @@ def described(
         behind = each.filled & _supported(each, height, evidence)
         kinds.append((behind, (Provenance.BACKGROUND, parameters.of_background)))
     for cells, (kind, share) in kinds:
-        source[cells], error[cells] = kind, (parameters.least_m + share * relief)[cells]
+        least = parameters.least_shadow_m if kind == Provenance.SHADOW else parameters.least_m
+        source[cells], error[cells] = kind, (least + share * relief)[cells]
     for each in (fused.second, fused.first):
         cells = (each.count > 0) & _supported(each, height, evidence)
         count[cells], spread[cells], score[cells] = each.count[cells], each.spread[cells], each.score[cells]
@@ -87,7 +88,9 @@ def described(
     )
     for each, other in ((fused.second, fused.first), (fused.first, fused.second)):
         cells = (each.count > 0) & _supported(each, height, evidence)
-        le90[cells] = tails.le90(error, height, each, other, fused.evidence)[cells]
+        tail = tails.deviation(height, each, other, fused.evidence)
+        le90[cells] = (tails.factor * np.hypot(parameters.le90_of_error * error, tail))[cells]
+        error[cells] = np.hypot(error, parameters.of_tail * tail)[cells]
     return SurfaceCells(height, count, spread, score, source, error, le90)
 
 
@@ -122,11 +125,14 @@ class _Tails:
         most = cv2.dilate(enough, np.ones((2 * far + 1, 2 * far + 1), np.uint8))
         return cls(scale, holes, 1 - enough / np.maximum(most, np.float32(1)), parameters)
 
-    def le90(
-        self, error: FloatImage, height: FloatImage, own: Candidate, other: Candidate, evidence: FloatImage
-    ) -> FloatImage:
-        """(H, W) what nine of ten errors of the heights of a candidate keep below, m; ``error`` are the expected ones
-        and ``evidence`` that of all maps.
+    @property
+    def factor(self) -> FloatImage:
+        """(H, W) how many times larger errors are, where maps with heights nearby have none here."""
+        return np.float32(1) + np.float32(self.parameters.tail_lacking) * self.lacking
+
+    def deviation(self, height: FloatImage, own: Candidate, other: Candidate, evidence: FloatImage) -> FloatImage:
+        """(H, W) the deviation, m, that gross errors add to the heights of a candidate; ``evidence`` is that of all
+        maps.
 
         Errors are a mixture: a core, and a tail of gross errors that a share of the heights has (Huber 1981, "Robust
         Statistics"). More have them beside steps and holes, where a single map has the height, and where maps
@@ -137,9 +143,8 @@ class _Tails:
         against = 1 - own.evidence / np.maximum(np.maximum(evidence, own.evidence), np.float32(1e-6))
         apart = np.minimum(np.abs(np.nan_to_num(other.height - height)), np.float32(p.tail_m))
         share = (p.tail_beside * beside) ** 2 + (p.tail_holes * self.holes) ** 2 + p.tail_alone**2 / maps
-        core = (p.le90_of_error * error) ** 2
-        square = core + share * self.scale**2 / maps + (p.tail_against * against * apart) ** 2
-        return np.asarray((1 + p.tail_lacking * self.lacking) * np.sqrt(square), np.float32)
+        square = share * self.scale**2 / maps + (p.tail_against * against * apart) ** 2
+        return np.asarray(np.sqrt(square), np.float32)
 
 
 def _supported(candidate: Candidate, height: FloatImage, parameters: EvidenceParameters) -> Mask:

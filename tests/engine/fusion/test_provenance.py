@@ -72,11 +72,18 @@ def test_what_others_contradict_what_they_differ_by_and_steps_are_in_the_error()
     two = surface(cells(candidate(level, (2,) * 3, spread=0.3))).error
     np.testing.assert_allclose(two, np.hypot(plain / 2**0.5, 0.3), rtol=1e-5)
     against = surface(cells(candidate(level, (1,) * 3), candidate((15.0,) * 3, (1,) * 3))).error
-    np.testing.assert_allclose(against, 2 * plain, rtol=1e-5)
+    np.testing.assert_allclose(against, np.hypot(2 * plain, 0.13 * 1.8 * 0.5 * 5), rtol=1e-5)  # gross errors, too
     moved = surface(cells(candidate(level, (1,) * 3)), (10.5, 10.5, 10.5)).error
     np.testing.assert_allclose(moved, np.hypot(plain, 0.5), rtol=1e-5)
     steps = surface(cells(candidate((10.0, 12.0, 30.0), (1,) * 3))).error
-    np.testing.assert_allclose(steps, np.hypot(plain, 0.12 * row(2.0, 4.0, 4.0)), rtol=1e-5)
+    gross = 0.13 * 0.06 * 10.0  # of a single map, beside a wall of 10 m and more
+    np.testing.assert_allclose(steps, np.hypot(np.hypot(plain, gross), 0.12 * row(2.0, 4.0, 4.0)), rtol=1e-5)
+
+
+def test_the_ground_of_a_shadow_may_be_a_roof():
+    found = surface(cells(candidate((NAN, NAN), (0, 0))), (10.0, 10.0), (10.0, 10.0))
+    assert found.source[0].tolist() == [Provenance.SHADOW] * 2
+    np.testing.assert_allclose(found.error, 2.0, rtol=1e-5)
 
 
 def test_what_no_map_has_is_known_less_well_and_least_beside_walls():
@@ -100,7 +107,9 @@ def test_the_le90_has_a_core_and_a_tail_of_gross_errors():
     assert (single.le90 > 1.35 * single.error)[0, 2:5].all() and single.le90[0, 2] > three.le90[0, 2]
     # All evidence but half is for a height 5 m away.
     against = surface(cells(candidate(level, (1,) * 7), candidate((15.0,) * 7, (1,) * 7)))
-    np.testing.assert_allclose(against.le90, np.hypot(1.35 * against.error, 1.8 * 0.5 * 5), rtol=1e-5)
+    core, tail = 0.8 * 0.4 * 2, 1.8 * 0.5 * 5
+    np.testing.assert_allclose(against.le90, np.hypot(1.35 * core, tail), rtol=1e-5)
+    np.testing.assert_allclose(against.error, np.hypot(core, 0.13 * tail), rtol=1e-5)
 
 
 def test_heights_that_no_map_has_have_wide_tails():
