@@ -121,8 +121,8 @@ def pairs() -> List[str]:
                 except Failed as error:
                     say(error)
                     found.append(0.0)
-    gain = np.subtract(shares["auto"], shares[INTENSITY])
-    values = {**shares, "auto less intensity": gain}
+    values = {name: np.array(found) for name, found in shares.items()}
+    values["auto less intensity"] = values["auto"] - values[INTENSITY]
     rows = [
         [name, len(found), float(np.mean(found)), *map(float, np.percentile(found, (0, 25, 50, 75, 100)))]
         for name, found in values.items()
