@@ -67,7 +67,7 @@ class PairBackend:
         """Match every pair over every tile that both of its views see, in as many workers as fit into memory."""
         tasks = self._tasks(job)
         costs = choose_costs(job, tasks, Part(progress, 0.0, _CHOICE))
-        tasks = [replace(task, cost=costs[task.pair]) for task in tasks]
+        tasks = [task.matched_by(*costs[task.pair]) for task in tasks]
         workers = _workers(tasks, job, progress)
         try:
             records = run_tasks(match_to_disk, tasks, workers, Part(progress, _CHOICE, 1.0), _describe)
@@ -133,6 +133,11 @@ class PairTask:
     parameters: MatchingParameters = MATCHING
     cost: str = INTENSITY
 
+    def matched_by(self, cost: str, unlike: bool) -> PairTask:
+        """The same by this cost, of images that are ``unlike`` each other or not."""
+        sgm = self.parameters.sgm.of_unlike_images() if unlike else self.parameters.sgm
+        return replace(self, cost=cost, parameters=replace(self.parameters, sgm=sgm))
+
     @property
     def pair_matcher(self) -> PairMatcher:
         return learned.match if self.cost == LEARNED else self.backend.pair_matcher
@@ -151,21 +156,22 @@ def _workers(tasks: Sequence[PairTask], job: MatchingJob, progress: Progress) ->
     disparities = (task.altitudes[1] - task.altitudes[0]) * slope / task.scene.matched_gsd_m(task.pair)
     side = max(task.bounds[2] - task.bounds[0], task.bounds[3] - task.bounds[1]) / task.scene.gsd_m
     width, height = frame_size(task)
-    volume = any(task.cost == LEARNED for task in tasks)
-    each = matching_mib(width, height, disparities, 8 if volume else task.parameters.sgm.paths)
+    paths = max(8 if each.cost == LEARNED else each.parameters.sgm.paths for each in tasks)
+    each = matching_mib(width, height, disparities, paths)
     return workers_within(job.options.workers, tile_work(math.ceil(side), each), job.options.memory, progress)
 
 
-def choose_costs(job: MatchingJob, tasks: Sequence[PairTask], progress: Progress) -> Dict[Tuple[str, str], str]:
-    """The cost by which each pair is matched, by the names of its views.
+def choose_costs(
+    job: MatchingJob, tasks: Sequence[PairTask], progress: Progress
+) -> Dict[Tuple[str, str], Tuple[str, bool]]:
+    """The cost by which each pair is matched, and whether its images are unlike each other, by the names of its views.
 
-    With ``auto``, images of one day are matched by their intensities, and others where these agree: where the coarse
-    level of a few tiles has enough disparities that both directions of matching confirm.
+    Images of one day are alike, and others where their intensities agree: where the coarse level of a few tiles has
+    enough disparities that both directions of matching confirm. With ``auto``, unlike ones are matched by features.
     """
     chosen, p = job.options.matching_cost, job.parameters.learned
-    costs = {pair.names: INTENSITY if chosen == "auto" else chosen for pair in job.pairs}
-    if chosen != "auto":
-        return costs
+    if chosen == LEARNED:
+        return {pair.names: (LEARNED, False) for pair in job.pairs}
     unsure = {pair.names for pair in job.pairs if pair.days is None or pair.days >= p.least_days}
     measured = []
     for names in sorted(unsure):
@@ -178,18 +184,17 @@ def choose_costs(job: MatchingJob, tasks: Sequence[PairTask], progress: Progress
     shares = {}
     for pair in job.pairs:
         agreed, shown = (sum(part) for part in zip(*counts.get(pair.names, [(0, 0)])))
-        if shown:
+        if shown and agreed / shown < (p.most_undated if pair.days is None else p.most_agreement):
             shares[pair.names] = agreed / shown
-            if shares[pair.names] < (p.most_undated if pair.days is None else p.most_agreement):
-                costs[pair.names] = LEARNED
-    learned = [names for names in costs if costs[names] == LEARNED]
-    if learned:
-        least, most = (100 * end(shares[names] for names in learned) for end in (min, max))
+    if shares:
+        least, most = (100 * end(shares.values()) for end in (min, max))
+        how = "with higher penalties" if chosen == INTENSITY else "by learned features"
         progress.info(
-            f"{len(learned)} of {len(costs)} pairs are matched by learned features: the intensities of their images "
+            f"{len(shares)} of {len(job.pairs)} pairs are matched {how}: the intensities of their images "
             f"agree on {least:.0f} to {most:.0f} % of the ground (MATCHING_COST)."
         )
-    return costs
+    cost = INTENSITY if chosen == INTENSITY else LEARNED
+    return {pair.names: (cost, cost == INTENSITY) if pair.names in shares else (INTENSITY, False) for pair in job.pairs}
 
 
 def agreement(task: PairTask) -> Tuple[int, int]:

@@ -31,11 +31,16 @@ class SgmParameters(Parameters):
     tower_px: int = 12  # the same for components that match well: towers and chimneys; matching table
     tower_score: float = 0.8  # correlation of such a component's pixels; chosen
     score_window_px: int = 7  # side of the correlation window of the score; chosen
+    unlike: int = 4  # times the penalties, with 8 paths, of images whose intensities agree on little; seasons table
     rim_px: int = 5  # window around pixels without data: the pre-filter and subpixel costs reach 2 px to each side
 
     def in_eight_directions(self) -> "SgmParameters":
         """The best that OpenCV has. More directions smooth more, so the penalty is less; `make bench-towns`."""
         return replace(self, paths=8, p2=36)
+
+    def of_unlike_images(self) -> "SgmParameters":
+        """Those of images whose intensities say less: costs at right disparities are nearer to those at random ones."""
+        return replace(self, paths=8, p1=self.unlike * self.p1, p2=self.unlike * self.p2)
 
 
 @dataclass(frozen=True)

@@ -151,18 +151,20 @@ def test_a_scene_of_several_pairs_keeps_only_what_is_less_doubtful():
 
 
 @pytest.mark.parametrize(
-    ("chosen", "days", "agreed", "cost"),
+    ("chosen", "days", "agreed", "cost", "unlike"),
     [
-        ("auto", 0.4, 10, INTENSITY),  # images of one day are not even measured
-        ("auto", 150.0, 60, LEARNED),
-        ("auto", 150.0, 95, INTENSITY),
-        ("auto", None, 80, INTENSITY),  # as images of one pass without times have it
-        ("auto", None, 60, LEARNED),
-        (LEARNED, 0.0, 95, LEARNED),
-        (INTENSITY, 150.0, 10, INTENSITY),
+        ("auto", 0.4, 10, INTENSITY, False),  # images of one day are not even measured
+        ("auto", 150.0, 60, LEARNED, False),
+        ("auto", 150.0, 95, INTENSITY, False),
+        ("auto", None, 80, INTENSITY, False),  # as images of one pass without times have it
+        ("auto", None, 60, LEARNED, False),
+        (LEARNED, 0.0, 95, LEARNED, False),
+        (INTENSITY, 0.4, 10, INTENSITY, False),
+        (INTENSITY, 150.0, 60, INTENSITY, True),
+        (INTENSITY, 150.0, 95, INTENSITY, False),
     ],
 )
-def test_what_a_pair_is_matched_by(monkeypatch, chosen, days, agreed, cost):
+def test_what_a_pair_is_matched_by(monkeypatch, chosen, days, agreed, cost, unlike):
     pair = SimpleNamespace(first="a", second="b", names=("a", "b"), days=days)
     job = SimpleNamespace(pairs=(pair,), options=SimpleNamespace(matching_cost=chosen), parameters=MATCHING)
     tasks = [SimpleNamespace(pair=("a", "b"), number=number) for number in range(7)]
@@ -174,8 +176,8 @@ def test_what_a_pair_is_matched_by(monkeypatch, chosen, days, agreed, cost):
 
     monkeypatch.setattr(pair_backend, "run_tasks", counts)
     monkeypatch.setattr(pair_backend, "_workers", lambda *_: 1)
-    assert pair_backend.choose_costs(job, tasks, told) == {("a", "b"): cost}
-    assert len(measured) == (0 if chosen != "auto" or days == 0.4 else 3)
+    assert pair_backend.choose_costs(job, tasks, told) == {("a", "b"): (cost, unlike)}
+    assert len(measured) == (0 if chosen == LEARNED or days == 0.4 else 3)
 
 
 def test_a_pair_that_no_tile_shows_is_no_reason_for_features(monkeypatch):
@@ -183,4 +185,4 @@ def test_a_pair_that_no_tile_shows_is_no_reason_for_features(monkeypatch):
     job = SimpleNamespace(pairs=(pair,), options=SimpleNamespace(matching_cost="auto"), parameters=MATCHING)
     monkeypatch.setattr(pair_backend, "run_tasks", lambda *_: [])
     monkeypatch.setattr(pair_backend, "_workers", lambda *_: 1)
-    assert pair_backend.choose_costs(job, [], Silent()) == {("a", "b"): INTENSITY}
+    assert pair_backend.choose_costs(job, [], Silent()) == {("a", "b"): (INTENSITY, False)}
