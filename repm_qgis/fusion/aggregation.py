@@ -33,7 +33,7 @@ class HeightLayer:
     """A height map on the cells: ``height`` (m, NaN = not matched) with its ``score``, ``background`` (m, NaN = none)
     where an occlusion hides the cell, the height of one px of disparity, and the ``spacing`` of pixels on the ground
     (m). ``partial`` cells are covered by matched points to less than half, ``partial_background`` by the background's
-    (None: no cells are). ``learned``: it was matched by learned features."""
+    (None: no cells are). ``alike``: of a map by learned features, how alike its images are, 1 for the most alike ones."""
 
     height: Floats
     score: Floats
@@ -42,7 +42,7 @@ class HeightLayer:
     spacing: float
     partial: Optional[Mask] = None
     partial_background: Optional[Mask] = None
-    learned: bool = False
+    alike: Optional[float] = None
 
     @property
     def unit(self) -> float:
@@ -300,9 +300,9 @@ def _observed(layer: HeightLayer, rim: int, p: EvidenceParameters) -> Tuple[Floa
     evidence = np.where(known, evidence, np.where(np.isfinite(background), behind, np.float32(0)))
     loss = 1.0 - np.clip(np.nan_to_num(score), 0.0, 1.0)
     per_score = p.per_score
-    if layer.learned:  # of these, correlations say how much a height counts, and little about its deviation
+    if layer.alike is not None:  # correlations, and the pair's own, say how much a height counts, not its deviation
         per_score, trust = p.per_learned_score, np.maximum((1 - loss) ** 2, np.float32(p.least_trust))
-        evidence = np.where(known, evidence * trust, evidence)
+        evidence = np.where(known, evidence * trust * np.float32(layer.alike**2), evidence)
     sigma = np.where(known, p.best + per_score * loss, p.of_background) * layer.unit
     return np.where(known, height, background), evidence, sigma.astype(np.float32), score, known.astype(np.float32)
 

@@ -68,7 +68,8 @@ class EvidenceParameters(Parameters):
     best: float = 0.16  # standard deviation of a matched height at a correlation of 1, in units of HeightLayer
     per_score: float = 3.2  # and more for each 1 of correlation less; 2.4 does as well
     per_learned_score: float = 1.3  # the same of heights by learned features; seasons table
-    least_trust: float = 0.05  # share of their evidence, which else is the square of their correlation
+    least_trust: float = 0.05  # share of their evidence, which else is the square of their correlation; times that
+    # of the share of the ground on which the pair's intensities agree, as a part of the most alike pair's
     same: float = 2.5  # standard deviations within which heights mean the same surface; 2 and 3 do as well
     rim_px: float = 2.5  # from a step down, where matching may have widened the object above it
     step_m: float = 1.5  # of such a step, and not less than

@@ -177,6 +177,7 @@ def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]
     spacings = [task.step * task.scene.matched_gsd_m(record.pair) for record in task.records]
     sides = [task.step * task.scene.matched_side_m(record.pair) for record in task.records]
     rim = rim_cells(max(spacings, default=task.scene.gsd_m), grid.cell, parameters.evidence)
+    most = max((record.alike for record in task.records), default=1.0)
     whole = np.empty((2 * FIELDS + 1, *grid.shape), np.float32)
     everything = Window(0, 0, *grid.size)
     for own, wide in overlapping_blocks(grid.size, parameters.block_cells, rim):
@@ -186,8 +187,8 @@ def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]
         for source, record, spacing, apart in zip(sources, task.records, spacings, sides):
             heights = source.read(bounds, task.step)
             metres = task.step * record.metres_per_px
-            learned = record.cost == LEARNED
-            layers.append(grid_height_map(part, heights, metres, spacing, parameters, apart, learned))
+            alike = record.alike / most if record.cost == LEARNED else None
+            layers.append(grid_height_map(part, heights, metres, spacing, parameters, apart, alike))
         fused = aggregate(layers, task.method, rim, parameters.evidence)
         inner, target = own.inside(wide), own.inside(everything)
         for array, values in zip(whole, fused.arrays()):
@@ -202,7 +203,7 @@ def grid_height_map(
     spacing: float,
     parameters: FusionParameters,
     apart: float = 0.0,
-    learned: bool = False,
+    alike: Optional[float] = None,
 ) -> HeightLayer:
     """A height map on the cells: what was matched and, separately, the background where an occlusion hides it.
     ``spacing`` and ``apart`` are as of :func:`~repm_qgis.geometry.gridding.grid_points`.
@@ -223,7 +224,7 @@ def grid_height_map(
     half = parameters.covered * (grid.cell / spacing) ** 2
     if not z.size:
         return HeightLayer(
-            height, score, np.full(grid.shape, np.nan), metres_per_px, spacing, covered < half, learned=learned
+            height, score, np.full(grid.shape, np.nan), metres_per_px, spacing, covered < half, alike=alike
         )
     background, _, behind = grid_points(grid, x, y, height=z, score=np.zeros(len(z)), **distances, parameters=gridding)
     # A roof's last pixels reach into cells that are mostly occluded ground.
@@ -231,4 +232,4 @@ def grid_height_map(
         mostly_behind = (behind > covered) & (height - background > surface_step(grid.cell, gridding))
     height[mostly_behind] = np.nan
     score[mostly_behind] = np.nan
-    return HeightLayer(height, score, background, metres_per_px, spacing, covered < half, behind < half, learned)
+    return HeightLayer(height, score, background, metres_per_px, spacing, covered < half, behind < half, alike)

@@ -67,7 +67,7 @@ class PairBackend:
         """Match every pair over every tile that both of its views see, in as many workers as fit into memory."""
         tasks = self._tasks(job)
         costs = choose_costs(job, tasks, Part(progress, 0.0, _CHOICE))
-        tasks = [task.matched_by(*costs[task.pair]) for task in tasks]
+        tasks = [task.matched_by(costs[task.pair]) for task in tasks]
         workers = _workers(tasks, job, progress)
         try:
             records = run_tasks(match_to_disk, tasks, workers, Part(progress, _CHOICE, 1.0), _describe)
@@ -117,6 +117,19 @@ class PairBackend:
         return wave_geometry(pair, geometry, first, second, record.altitudes, parameters.stereo)
 
 
+class PairCost(NamedTuple):
+    """What a pair is matched by: its ``cost``, and the share of the ground, 0..1, on which the intensities of its
+    images agree, where these are ``unlike`` each other."""
+
+    cost: str
+    alike: float = 1.0
+
+    @property
+    def unlike(self) -> bool:
+        """Whether penalties are those of intensities that say little."""
+        return self.cost == INTENSITY and self.alike < 1.0
+
+
 @dataclass(frozen=True)
 class PairTask:
     """All a worker needs: the scene without its tiles, the pair, the tile's ground and altitudes, where to write."""
@@ -132,11 +145,12 @@ class PairTask:
     key: str
     parameters: MatchingParameters = MATCHING
     cost: str = INTENSITY
+    alike: float = 1.0
 
-    def matched_by(self, cost: str, unlike: bool) -> PairTask:
-        """The same by this cost, of images that are ``unlike`` each other or not."""
-        sgm = self.parameters.sgm.of_unlike_images() if unlike else self.parameters.sgm
-        return replace(self, cost=cost, parameters=replace(self.parameters, sgm=sgm))
+    def matched_by(self, choice: PairCost) -> PairTask:
+        """The same task with the cost and the penalties of its pair."""
+        sgm = self.parameters.sgm.of_unlike_images() if choice.unlike else self.parameters.sgm
+        return replace(self, cost=choice.cost, alike=choice.alike, parameters=replace(self.parameters, sgm=sgm))
 
     @property
     def pair_matcher(self) -> PairMatcher:
@@ -161,17 +175,15 @@ def _workers(tasks: Sequence[PairTask], job: MatchingJob, progress: Progress) ->
     return workers_within(job.options.workers, tile_work(math.ceil(side), each), job.options.memory, progress)
 
 
-def choose_costs(
-    job: MatchingJob, tasks: Sequence[PairTask], progress: Progress
-) -> Dict[Tuple[str, str], Tuple[str, bool]]:
-    """The cost by which each pair is matched, and whether its images are unlike each other, by the names of its views.
+def choose_costs(job: MatchingJob, tasks: Sequence[PairTask], progress: Progress) -> Dict[Tuple[str, str], PairCost]:
+    """What each pair is matched by, by the names of its views.
 
     Images of one day are alike, and others where their intensities agree: where the coarse level of a few tiles has
     enough disparities that both directions of matching confirm. With ``auto``, unlike ones are matched by features.
     """
     chosen, p = job.options.matching_cost, job.parameters.learned
     if chosen == LEARNED:
-        return {pair.names: (LEARNED, False) for pair in job.pairs}
+        return {pair.names: PairCost(LEARNED) for pair in job.pairs}
     unsure = {pair.names for pair in job.pairs if pair.days is None or pair.days >= p.least_days}
     measured = []
     for names in sorted(unsure):
@@ -194,7 +206,8 @@ def choose_costs(
             f"agree on {least:.0f} to {most:.0f} % of the ground (MATCHING_COST)."
         )
     cost = INTENSITY if chosen == INTENSITY else LEARNED
-    return {pair.names: (cost, cost == INTENSITY) if pair.names in shares else (INTENSITY, False) for pair in job.pairs}
+    alike = {pair.names: shares.get(pair.names, 1.0) for pair in job.pairs}
+    return {names: PairCost(cost if share < 1.0 else INTENSITY, share) for names, share in alike.items()}
 
 
 def agreement(task: PairTask) -> Tuple[int, int]:
@@ -267,6 +280,7 @@ def match_tile(task: PairTask) -> Optional[MatchedTile]:
         table_error_m=geometry.error_m,
         altitudes=task.altitudes,
         cost=task.cost,
+        alike=task.alike,
     )
     return MatchedTile(record, heights, matched.score, matched.filled)
 

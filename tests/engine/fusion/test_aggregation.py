@@ -246,3 +246,14 @@ def test_the_order_of_maps_does_not_matter():
     forward, backward = (aggregate(layers(part), "mean", RIM) for part in (stack, stack[::-1]))
     np.testing.assert_allclose(forward.height, backward.height, atol=0.2)
     np.testing.assert_array_equal(forward.first.count, backward.first.count)
+
+
+def test_a_pair_whose_images_are_less_alike_counts_less():
+    def layer(height, alike):
+        known = np.full((1, 3), height, np.float32)
+        return HeightLayer(known, np.ones_like(known), np.full_like(known, np.nan), 1.0, 1.0, alike=alike)
+
+    for heights in ((10.0, 20.0), (20.0, 10.0)):
+        found = aggregate([layer(heights[0], 1.0), layer(heights[1], 0.5)], "mean", RIM, FUSION.evidence)
+        np.testing.assert_allclose(found.first.height, heights[0])
+        np.testing.assert_allclose(found.second.evidence / found.first.evidence, 0.25, rtol=1e-6)

@@ -176,7 +176,9 @@ def test_what_a_pair_is_matched_by(monkeypatch, chosen, days, agreed, cost, unli
 
     monkeypatch.setattr(pair_backend, "run_tasks", counts)
     monkeypatch.setattr(pair_backend, "_workers", lambda *_: 1)
-    assert pair_backend.choose_costs(job, tasks, told) == {("a", "b"): (cost, unlike)}
+    found = pair_backend.choose_costs(job, tasks, told)["a", "b"]
+    assert found.cost == cost and found.unlike == unlike
+    assert found.alike == (agreed / 100 if measured and cost == LEARNED or unlike else 1.0)
     assert len(measured) == (0 if chosen == LEARNED or days == 0.4 else 3)
 
 
@@ -185,4 +187,4 @@ def test_a_pair_that_no_tile_shows_is_no_reason_for_features(monkeypatch):
     job = SimpleNamespace(pairs=(pair,), options=SimpleNamespace(matching_cost="auto"), parameters=MATCHING)
     monkeypatch.setattr(pair_backend, "run_tasks", lambda *_: [])
     monkeypatch.setattr(pair_backend, "_workers", lambda *_: 1)
-    assert pair_backend.choose_costs(job, [], Silent()) == {("a", "b"): (INTENSITY, False)}
+    assert pair_backend.choose_costs(job, [], Silent()) == {("a", "b"): (INTENSITY, 1.0)}
