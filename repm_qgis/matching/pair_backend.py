@@ -356,8 +356,9 @@ def sample_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> 
 def match_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> DisparityMap:
     """Disparities of a task's rectified pair, coarse to fine, without water and clouds; NaN beside the tile."""
     seen, sign = sample_pair(task, pair, geometry), geometry.height_sign
-    subpixel = task.parameters.subpixel.of_pair(task.scene.matched_gsd_m(task.pair) / geometry.metres_per_px)
-    parameters, match = replace(task.parameters, subpixel=subpixel), task.pair_matcher
+    gsd_m, p = task.scene.matched_gsd_m(task.pair), task.parameters
+    subpixel = p.subpixel.of_pair(gsd_m / geometry.metres_per_px)
+    parameters, match = replace(p, subpixel=subpixel), task.pair_matcher
     matched = match(seen.first, seen.second, seen.disparities, sign, geometry.relief_displacement, parameters)
 
     def wider(missing: Mask) -> DisparityMap:
@@ -372,7 +373,7 @@ def match_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> D
         height_sign=sign,
         metres_per_px=geometry.metres_per_px,
         parameters=parameters.learned_reliability if task.cost == LEARNED else parameters.reliability,
-        wider=wider,
+        wider=wider if p.wide.smooth_px * p.prior.factor * gsd_m <= p.wide.most_smooth_m else None,
         full_disparity=seen.full_disparity,
     )
     return kept.in_frame(seen.window, pair.size)

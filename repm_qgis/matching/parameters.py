@@ -175,7 +175,7 @@ class ReliabilityParameters(Parameters):
     scatter_window_px: int = 41  # in this window
     scatter_share: float = 0.25  # of a component's disparities: plain roofs have 0.1 at most, water 0.45 and more
     shore_px: int = 6  # removed around a component: the texture of a bank extends its height over the water
-    shore_window_px: int = 5  # where the average of this window
+    shore_window_px: int = 7  # where the average of this window
     shore_support: float = 0.8  # is less than this
     bright: float = 0.6  # intensity of a cloud
     bright_share: float = 0.5  # of its pixels
@@ -193,6 +193,7 @@ class LearnedReliabilityParameters(ReliabilityParameters):
 
     own_support: float = 0.4
     least_px: int = 12000
+    shore_window_px: int = 5
 
 
 @dataclass(frozen=True)
@@ -203,10 +204,13 @@ class WideWindowParameters(Parameters):
     contrast: float = 0.2  # standard deviation that intensities have then
     sigma_px: float = 2.0  # of the Gaussian window of the subpixel steps
     rim_px: int = 1  # at the border of the missing area that are left out of the correlation
-    smooth_px: float = 4.0  # sigma of the mean of the disparities
+    smooth_px: float = 4.0  # sigma of the mean of the disparities,
+    most_smooth_m: float = 16.0  # at most: ground is not smooth over the 34 m that it is in images of 2.1 m
     score_window_px: int = 11  # side of a correlation window
     support_px: int = 15  # window over which correlations are averaged
     least_support: float = 0.65
+    beside_px: int = 2  # from the disparity, where correlations must be less:
+    least_lead: float = 0.15  # 98 % of snow has more, shaded lakes 0 to 0.1; masks table and tests
     narrowest_px: int = 9  # narrower parts are removed: windows reach from a bank over the water
     score_loss: Tuple[float, float] = (0.2, 2.2)  # 1 less the score: at full support, and more for each 1 less
 

@@ -43,10 +43,17 @@ def wide_match(
     # Without the pixels around: the contrast of a bank, which both images show, would support the water beside it.
     inside = _shrunk(reduced(missing.astype(np.float32), factor) > 0.5, p.rim_px)
     own = np.where(inside, small[0], np.float32(np.nan))
-    score, known = match_correlation(own, small[1], disparity, high, p.score_window_px, cv2.BORDER_REFLECT)
-    support, _ = mean_of_known(score, known, box_filter(p.support_px), 1e-3)
-    kept = _wide(known & (support > p.least_support), p.narrowest_px)
-    loss = p.score_loss[0] + p.score_loss[1] * (1 - support)
+
+    def support(moved: int) -> Tuple[FloatImage, Mask]:
+        by = disparity + np.float32(moved)
+        score, known = match_correlation(own, small[1], by, high, p.score_window_px, cv2.BORDER_REFLECT)
+        return mean_of_known(score, known, box_filter(p.support_px), 1e-3)[0], known
+
+    found_support, known = support(0)
+    # Depth and mud shade a lake evenly, and even shading correlates at any disparity.
+    lead = found_support - np.maximum(support(-p.beside_px)[0], support(p.beside_px)[0])
+    kept = _wide(known & (found_support > p.least_support) & (lead > p.least_lead), p.narrowest_px)
+    loss = p.score_loss[0] + p.score_loss[1] * (1 - found_support)
     places = _places(missing.shape, kept.shape, factor)
     disparity, score = (
         cv2.remap(np.where(kept, part, np.float32(np.nan)).astype(np.float32), *places, cv2.INTER_LINEAR)

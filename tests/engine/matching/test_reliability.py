@@ -67,6 +67,7 @@ def test_still_water_goes_and_land_stays():
     found, left = kept(*pair(np.zeros(SHAPE, int), texture))
     assert np.isfinite(found.disparity[inner(lake, 12)]).mean() > 0.9  # the matcher alone answers there
     assert np.isfinite(left.disparity[inner(lake, 6)]).mean() < 0.02
+    assert np.isfinite(left.disparity[lake]).mean() < 0.03  # with what the texture of its bank extends
     clear = inner(~lake, 8)
     assert np.isfinite(left.disparity[clear]).sum() > 0.998 * np.isfinite(found.disparity[clear]).sum()
     assert not left.filled[inner(lake, 6)].any()

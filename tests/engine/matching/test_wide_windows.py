@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from repm_qgis.evaluation.scoring import score_files
 from repm_qgis.matching.parameters import MATCHING
 from repm_qgis.matching.reliability import mask_unreliable
 from repm_qgis.matching.sgm import match
 from repm_qgis.matching.wide_windows import even_contrast, wide_match
+from repm_qgis.runtime.progress import Silent
+from repm_qgis.stages import run_stage
 from tests.engine.matching.pairs import reduced_pair
 
 SHAPE = (360, 440)
@@ -70,6 +73,33 @@ def test_water_beside_a_strong_bank_stays_empty(bank):
     left, before = kept((first, second)), kept((first, second), wide=False)
     assert np.isfinite(before.disparity[80:280, 100:340]).mean() < 0.02
     np.testing.assert_array_equal(left.disparity, before.disparity)
+
+
+@pytest.mark.parametrize(
+    "shade",
+    [
+        (COLUMNS - 220) / 140,
+        (ROWS - 180) / 120,
+        np.exp(-((ROWS - 150) ** 2 + (COLUMNS - 200) ** 2) / (2 * 60**2)),
+    ],
+    ids=["shallower to the right", "shallower below", "mud"],
+)
+def test_a_lake_that_both_images_show_shaded_stays_empty(bank, shade):
+    """Even shading correlates at any disparity: a third of the heights that it gave were wrong by more than 1 px."""
+    found = kept(shown(0.2 + 0.1 * shade, bank))
+    assert np.isfinite(found.disparity[80:280, 100:340]).mean() < 0.02
+
+
+@pytest.mark.long
+def test_a_lake_in_images_of_two_metres_is_not_made_of_wide_windows(shared_data, tmp_path):
+    """Three-line images of WHU-TLC: over its lake, heights were 20 m off, and the RMSE twice that of the land."""
+    place = shared_data / "whu_tlc"
+    images = [str(place / f"block0067_view{number}.tif") for number in range(3)]
+    output = str(tmp_path / "dsm.tif")
+    options = {"images": images, "workspace": str(tmp_path / "work"), "output": output, "resolution": 5.0, "workers": 1}
+    run_stage("pipeline", options, Silent())
+    found = score_files(output, str(place / "truth_0067.tif"), "3d").metrics
+    assert found.mae < 0.65 and found.rmse < 1.2 and found.valid > 95
 
 
 def test_contrast_is_even_and_what_is_unknown_stays_so():
