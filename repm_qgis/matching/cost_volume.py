@@ -9,16 +9,16 @@ image has an edge: there, surfaces end.
 
 from __future__ import annotations
 
-from typing import Callable, Iterator, NamedTuple, Tuple
+from typing import Callable, Iterator, List, NamedTuple, Tuple
 
 import cv2
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-from ..contracts.arrays import ByteImage, FloatImage, IntArray
+from ..contracts.arrays import ByteImage, FloatImage, IntArray, Mask
 from ..imagery.sampling import known_or_zero
-from .learned_features import features_of_rows, normalised
+from .learned_features import FEATURES, features_of_rows, normalised
 from .parameters import LearnedParameters
 
 _ROWS = 128  # at once: features and costs of so many rows stay in the caches
@@ -30,6 +30,7 @@ _NEVER = np.uint16(np.iinfo(np.uint16).max)
 
 Penalties = Callable[[int, int], ByteImage]
 Sums = NDArray[np.uint16]
+Strips = List[Tuple[slice, slice]]
 
 
 class Winners(NamedTuple):
@@ -49,33 +50,51 @@ class Winners(NamedTuple):
 
 
 def winners(first: FloatImage, second: FloatImage, span: int, parameters: LearnedParameters) -> Winners:
-    """Match images (H, W) and (H, W + span), 0..1 with NaN where there are none, over the offsets 0 to span."""
+    """Match images (H, W) and (H, W + span), 0..1 with NaN where there are none, over the offsets 0 to span.
+
+    Where a strip of rows shows nothing of the first image beside what it shows, all are 0, and paths begin.
+    """
     p = parameters
     scale = int(_BYTE / (1 + p.p1 + p.p2))
     one = np.uint8(round(scale * p.p1))
     jump = _penalties(first, one + 1, scale * p.p2, p.contrast)
-    volume = _costs(first, second, span, scale, np.uint8(round(scale * p.outside)))
-    total = _along_rows(volume, one, jump)
-    rows = range(len(volume))
-    for _ in _along_columns(volume, total, rows, one, jump):
+    strips = _strips(first)
+    volume = _costs(first, second, strips, scale, np.uint8(round(scale * p.outside)))
+    total = _along_rows(volume, strips, one, jump)
+    for _ in _along_columns(volume, total, strips, 1, one, jump):
         pass
-    return _chosen(volume, total, _along_columns(volume, total, rows[::-1], one, jump), scale)
+    return _chosen(volume, total, _along_columns(volume, total, strips, -1, one, jump), scale)
 
 
-def _costs(first: FloatImage, second: FloatImage, span: int, scale: int, outside: np.uint8) -> ByteImage:
+def _shown(known: Mask) -> slice:
+    """From the first to the last column of (H, W) that has something."""
+    columns = np.flatnonzero(known.any(axis=0))
+    return slice(int(columns[0]), int(columns[-1]) + 1) if columns.size else slice(0, 0)
+
+
+def _strips(image: FloatImage) -> Strips:
+    """Rows that are treated at once, and the columns that these show."""
+    known = np.isfinite(image)
+    rows = (slice(top, min(top + _ROWS, len(image))) for top in range(0, len(image), _ROWS))
+    return [(strip, columns) for strip in rows for columns in [_shown(known[strip])] if columns.stop]
+
+
+def _costs(first: FloatImage, second: FloatImage, strips: Strips, scale: int, outside: np.uint8) -> ByteImage:
     """(H, span + 1, W) costs 0 to ``scale`` of each offset; ``outside`` where the second image shows nothing."""
     a, b, missing = normalised(first), normalised(second), ~np.isfinite(second)
     (height, width), half = first.shape, np.float32(scale / 2)
+    span = second.shape[1] - width
     volume = np.empty((height, span + 1, width), dtype=np.uint8)
-    for top in range(0, height, _ROWS):
-        rows = slice(top, min(top + _ROWS, height))
-        own, other = (features_of_rows(image, rows.start, rows.stop) for image in (a, b))
-        own *= -half
+    for rows, columns in strips:
+        own = features_of_rows(a, rows, columns) * -half
         own = np.stack([cv2.transpose(own[:, row]) for row in range(own.shape[1])])
-        other = np.ascontiguousarray(other.transpose(1, 0, 2))
-        for left in range(0, width, _BLOCK):
-            right = min(left + _BLOCK, width)
-            product = np.matmul(own[:, left:right], other[:, :, left : right + span])
+        other = np.zeros((len(own), FEATURES, second.shape[1]), dtype=np.float32)
+        shown = _shown(~missing[rows])
+        if shown.stop:
+            other[:, :, shown] = features_of_rows(b, rows, shown).transpose(1, 0, 2)
+        for left in range(columns.start, columns.stop, _BLOCK):
+            right = min(left + _BLOCK, columns.stop)
+            product = np.matmul(own[:, left - columns.start : right - columns.start], other[:, :, left : right + span])
             costs = np.add(product, half + np.float32(0.5)).astype(np.uint8)
             along, down, across = costs.strides
             shape = len(costs), span + 1, right - left
@@ -115,77 +134,84 @@ def _moved_on(
     return out
 
 
-def _along_rows(volume: ByteImage, one: np.uint8, jump: Penalties) -> Sums:
+def _along_rows(volume: ByteImage, strips: Strips, one: np.uint8, jump: Penalties) -> Sums:
     """(H, D, W) sums of the two paths along rows."""
     total = np.empty(volume.shape, dtype=np.uint16)
-    count, width = volume.shape[1:]
+    count = volume.shape[1]
     jumps = [jump(0, side) for side in (1, -1)]
-    for top in range(0, len(volume), _ROWS):
-        rows = slice(top, min(top + _ROWS, len(volume)))
+    for rows, columns in strips:
+        width = columns.stop - columns.start
         # Transposed: paths of all rows move on together.
-        part = cv2.transpose(volume[rows].transpose(1, 0, 2).reshape(-1, width)).reshape(width, count, -1)
+        part = volume[rows, :, columns].transpose(1, 0, 2).reshape(-1, width)
+        part = cv2.transpose(part).reshape(width, count, -1)
         sums, spare = np.zeros(part.shape, dtype=np.uint16), np.empty_like(part[0])
         for order, two in zip((range(width), range(width - 1, -1, -1)), jumps):
-            two = np.ascontiguousarray(two[rows].T)
+            two = np.ascontiguousarray(two[rows, columns].T)
             before, states = part[order[0]], (np.empty_like(spare), np.empty_like(spare))
             sums[order[0]] += before
             for column in order[1:]:
                 before = _moved_on(before, part[column], one, two[column], states[column & 1], spare)
                 sums[column] += before
-        total[rows] = cv2.transpose(sums.reshape(width, -1)).reshape(count, -1, width).transpose(1, 0, 2)
+        sums = cv2.transpose(sums.reshape(width, -1)).reshape(count, -1, width)
+        total[rows, :, columns] = sums.transpose(1, 0, 2)
     return total
 
 
-_DIAGONALS: Tuple[Tuple[slice, slice, int], ...] = (
-    (slice(1, None), slice(None, -1), 0),
-    (slice(None, -1), slice(1, None), -1),
-)
+def _along_columns(
+    volume: ByteImage, total: Sums, strips: Strips, step: int, one: np.uint8, jump: Penalties
+) -> Iterator[Tuple[int, slice]]:
+    """Add the three paths that come from the row before to the sums, row after row downwards (``step`` 1) or upwards
+    (-1); gives each row that is done, and its columns."""
+    _, count, width = volume.shape
+    jumps = [(left, jump(step, left)) for left in (0, 1, -1)]
+    # A column more at each side: a path that comes from where there is none costs nothing before.
+    states = np.zeros((2, 3, count, width + 2), dtype=np.uint8)
+    spare = np.empty_like(volume[0])
+    for rows, columns in strips[::step]:
+        start, stop = columns.start, columns.stop
+        for row in range(rows.start, rows.stop)[::step]:
+            cost, sums = volume[row][:, columns], total[row][:, columns]
+            for (left, two), before, after in zip(jumps, states[1 - (row & 1)], states[row & 1]):
+                after[:, : start + 1], after[:, stop + 1 :] = 0, 0
+                out = after[:, start + 1 : stop + 1]
+                source = before[:, start + 1 - left : stop + 1 - left]
+                sums += _moved_on(source, cost, one, two[row, columns], out, spare[:, : stop - start])
+            yield row, columns
 
 
-def _along_columns(volume: ByteImage, total: Sums, order: range, one: np.uint8, jump: Penalties) -> Iterator[int]:
-    """Add the three paths that come from the row before to the sums, row after row; gives each row that is done."""
-    jumps = [jump(order.step, left) for left in (0, 1, -1)]
-    states = np.empty((3, 2, *volume.shape[1:]), dtype=np.uint8)
-    moved, spare = np.empty_like(volume[0]), np.empty_like(volume[0])
-    before = [volume[order[0]]] * 3
-    for row in order:
-        if row == order[0]:
-            total[row] += np.uint16(3) * volume[row]
-        else:
-            for number in range(3):
-                source = before[number]
-                if number:
-                    to, of, edge = _DIAGONALS[number - 1]
-                    moved[:, to], moved[:, edge] = source[:, of], source[:, edge]
-                    source = moved
-                out = states[number, row & 1]
-                before[number] = _moved_on(source, volume[row], one, jumps[number][row], out, spare)
-                total[row] += out
-        yield row
-
-
-def _chosen(volume: ByteImage, total: Sums, rows: Iterator[int], scale: int) -> Winners:
+def _chosen(volume: ByteImage, total: Sums, done: Iterator[Tuple[int, slice]], scale: int) -> Winners:
     """The winners of rows as soon as their sums are complete."""
     height, count, width = volume.shape
-    columns, wide = np.arange(width), np.full((count, width + count - 1), _NEVER)
+    wide = np.empty((count, width + count - 1), dtype=np.uint16)
     along, across = wide.strides
     seen_from_second = as_strided(wide, (count, width), (along + across, across))
-    first, margin, lead, cost = (np.empty((height, width), dtype=np.float32) for _ in range(4))
-    second = np.empty((height, width + count - 1), dtype=np.int64)
-    for row in rows:
-        sums = total[row]
-        best = sums.argmin(axis=0)
+    first, margin, lead, cost = (np.zeros((height, width), dtype=np.float32) for _ in range(4))
+    second = np.zeros((height, width + count - 1), dtype=np.int64)
+    before = slice(0)
+    for row, part in done:
+        sums, columns = total[row][:, part], np.arange(part.stop - part.start)
+        best = _cheapest(sums)
         least = sums[best, columns]
-        first[row] = best + _vertex(sums, best, columns)
-        lead[row] = sums.mean(axis=0, dtype=np.float32) - least
-        cost[row] = volume[row][best, columns]
-        seen_from_second[:] = sums
-        second[row] = wide.argmin(axis=0)
+        first[row, part] = best + _vertex(sums, best, columns)
+        lead[row, part] = sums.mean(axis=0, dtype=np.float32) - least
+        cost[row, part] = volume[row][:, part][best, columns]
+        if part != before:
+            wide[:], before = _NEVER, part
+        seen_from_second[:, part] = sums
+        reached = slice(part.start, part.stop + count - 1)
+        second[row, reached] = _cheapest(wide[:, reached])
         for beside in range(-2, 3):  # the sums of this row are not needed any more
             sums[np.clip(best + beside, 0, count - 1), columns] = _NEVER
-        margin[row] = np.minimum(sums.min(axis=0), np.uint16(_PATHS * _BYTE)) - least
+        margin[row, part] = np.minimum(sums.min(axis=0), np.uint16(_PATHS * _BYTE)) - least
     of_paths = np.float32(1 / (_PATHS * scale))
     return Winners(first, second, margin * of_paths, lead * of_paths, cost * np.float32(1 / scale))
+
+
+def _cheapest(sums: Sums) -> IntArray:
+    """(N,) the first offset of the least of (D, N) sums: as argmin, in less than half of its time."""
+    ranked = np.left_shift(sums, 16, dtype=np.uint32)
+    ranked |= np.arange(len(sums), dtype=np.uint32)[:, None]
+    return np.bitwise_and(np.minimum.reduce(ranked, axis=0), 0xFFFF).astype(np.int64)
 
 
 def _vertex(sums: Sums, best: IntArray, columns: IntArray) -> FloatImage:

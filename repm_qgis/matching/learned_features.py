@@ -38,14 +38,16 @@ def normalised(image: FloatImage) -> FloatImage:
     return padded
 
 
-def features_of_rows(padded: FloatImage, top: int, bottom: int) -> FloatImage:
-    """(64, bottom - top, W) features of unit length of rows of an image, whose :func:`normalised` form is given."""
-    width, reach = padded.shape[1] - 2 * REACH_PX, 2 * REACH_PX
-    result = np.empty((FEATURES, bottom - top, width), dtype=np.float32)
+def features_of_rows(padded: FloatImage, rows: slice, columns: slice) -> FloatImage:
+    """(64, h, w) features of unit length of a part of an image, whose :func:`normalised` form is given."""
+    reach = 2 * REACH_PX
+    padded = padded[rows.start : rows.stop + reach, columns.start : columns.stop + reach]
+    height, width = (side - reach for side in padded.shape)
+    result = np.empty((FEATURES, height, width), dtype=np.float32)
     network = _network()
     for left in range(0, width, _STRIP_COLUMNS):
         right = min(left + _STRIP_COLUMNS, width)
-        network.setInput(np.ascontiguousarray(padded[top : bottom + reach, left : right + reach])[None, None])
+        network.setInput(np.ascontiguousarray(padded[:, left : right + reach])[None, None])
         raw = network.forward()[0]
         length = np.sqrt(np.einsum("fhw,fhw->hw", raw, raw))
         np.divide(raw, np.maximum(length, np.float32(1e-12)), out=result[:, :, left:right])
