@@ -212,7 +212,8 @@ def _cheapest(sums: Sums) -> IntArray:
     """(N,) the first offset of the least of (D, N) sums: as argmin, in less than half of its time."""
     ranked = np.left_shift(sums, 16, dtype=np.uint32)
     ranked |= np.arange(len(sums), dtype=np.uint32)[:, None]
-    return np.bitwise_and(np.minimum.reduce(ranked, axis=0), 0xFFFF).astype(np.int64)
+    found: IntArray = np.bitwise_and(np.minimum.reduce(ranked, axis=0), 0xFFFF).astype(np.int64)
+    return found
 
 
 def _vertex(sums: Sums, best: IntArray, columns: IntArray) -> FloatImage:
