@@ -20,6 +20,7 @@ from benchmarks.twin_world import (
     FEET,
     FROM_ECEF,
     SIDE_M,
+    Change,
     Form,
     World,
     between,
@@ -134,6 +135,14 @@ def _void(form: Form, fill: float) -> Form:
 def _beside(crs: str) -> str:
     code = int(crs.split(":")[1])
     return f"EPSG:{code + 1}" if 32600 < code < 32660 else crs
+
+
+def with_houses(draw: Draw) -> World:
+    """A draw's world, or another one, with two houses at least."""
+    world = draw.world
+    while len(world.houses) < 2:  # what stands in a place without houses is no question
+        world = World.drawn(int(draw.rng.integers(1 << 30)))
+    return world
 
 
 def off_by(value: float, true: float, most: float, what: str) -> str:
@@ -287,7 +296,8 @@ def mosaic(draw: Draw) -> Trial:
     world = draw.world
     left = draw.form(covers=(-SIDE_M / 2, -SIDE_M / 2, 20.0, SIDE_M / 2))
     right = draw.form(covers=(-20.0, -SIDE_M / 2, SIDE_M / 2, SIDE_M / 2), datum=left.datum)
-    kind, fault, shown = draw.kind("", "", "errors", "raster", "copy", "relief", "centimetres"), "", world
+    kinds = "", "", "", "errors", "raster", "copy", "relief", "centimetres", "tilted", "bare"
+    kind, fault, shown, surface = draw.kind(*kinds), "", world, "surface"
     if kind == "raster":
         fault, change_it = draw.any_fault()
         right = change_it(right)
@@ -300,6 +310,12 @@ def mosaic(draw: Draw) -> Trial:
         fault = "a copy as a second DSM"
     elif kind == "centimetres":
         fault = "expected errors in centimetres"
+    elif kind == "tilted":
+        fault, tilt = "a DSM that is tilted", float(draw.rng.uniform(4, 9) * draw.rng.choice((-1, 1))) / SIDE_M
+        shown = replace(world, slope=(world.slope[0] + tilt, world.slope[1]))
+    elif kind == "bare":
+        fault, surface = "a terrain as a second DSM", "ground"
+        world = shown = with_houses(draw)
     elif kind == "relief":
         fault = "a DSM of another relief"
         other = World.drawn(world.seed + 1)
@@ -308,7 +324,8 @@ def mosaic(draw: Draw) -> Trial:
 
     def run(heard: Heard) -> str:
         one = write(draw.path("a.tif"), world, left, seed=1)
-        other = write(draw.path("b.tif"), shown, left if kind == "copy" else right, seed=1 if kind == "copy" else 2)
+        form, seed = (left, 1) if kind == "copy" else (right, 2)
+        other = write(draw.path("b.tif"), shown, form, surface, seed)
         target = {"output": draw.path("m.tif"), "report": draw.path("r.html"), "crs": world.utm()}
         errors = []
         if kind in ("errors", "centimetres"):
@@ -381,9 +398,7 @@ CLASSES: Tuple[Tuple[str, float, float], ...] = (
 
 def _by_class(draw: Draw, fault: str, beside: float, half: float) -> Trial:
     """The bias of roofs, which is not that of the ground."""
-    world, rng = draw.world, draw.rng
-    while len(world.houses) < 2:
-        world = World.drawn(int(rng.integers(1 << 30)))
+    world, rng = with_houses(draw), draw.rng
     bias, more = float(rng.uniform(-0.4, 0.4)), float(rng.uniform(0.5, 1.0))
     dsm, reference = draw.form(added=bias), draw.form()
     higher = replace(world, houses=tuple((*house[:4], house[4] + more) for house in world.houses))
@@ -426,14 +441,23 @@ def dtm(draw: Draw) -> Trial:
     return Trial(fault or "sound", not fault, run)
 
 
+TERRAINS: Dict[str, Change] = {
+    "constant": lambda heights: np.full(heights.shape, np.median(heights)),
+    "of another town": np.asarray,
+    "upside down": np.flipud,
+    "mirrored": np.fliplr,
+    "of doubled relief": lambda heights: 2 * heights - np.median(heights),
+}
+"""Terrains that are not the DSM's."""
+
+
 def buildings(draw: Draw) -> Trial:
     """Number, area and volume of the houses."""
-    world, rng = draw.world, draw.rng
-    while len(world.houses) < 2:  # what stands in a place without houses is no question
-        world = World.drawn(int(rng.integers(1 << 30)))
+    world, rng = with_houses(draw), draw.rng
     flat = {"crs": world.utm(), "cell": 0.5, "holes": 0.0}
     dsm, ground = draw.form(**flat), draw.form(**flat)
-    kind, fault, tilt = draw.kind("", "", "low", "near", "tilted", "half", "raster", "terrain", "web"), "", 0.0
+    kinds = "", "", "", "low", "near", "tilted", "half", "raster", "terrain", "web", *TERRAINS
+    kind, fault, tilt = draw.kind(*kinds), "", 0.0
     if kind == "raster":
         fault, change_it = draw.any_fault()
         dsm = change_it(dsm)
@@ -441,6 +465,10 @@ def buildings(draw: Draw) -> Trial:
         fault, ground = "a terrain 2 to 3 m off", replace(ground, added=float(rng.uniform(2, 3) * rng.choice((-1, 1))))
     elif kind == "tilted":
         fault, tilt = "a terrain tilted by 2 to 3 m", float(rng.uniform(4, 6)) / SIDE_M
+    elif kind in TERRAINS:
+        fault = f"a terrain that is {kind}"
+        if rng.random() < 0.5:  # a tilt is named as such, and tells nothing of the relief
+            world = replace(world, slope=(0.0, 0.0), relief=float(rng.uniform(0.2, 5.0)))
     elif kind == "web":
         fault, dsm = "a CRS that distorts", replace(dsm, crs="EPSG:3857")
     elif kind == "terrain":
@@ -454,7 +482,9 @@ def buildings(draw: Draw) -> Trial:
     def run(heard: Heard) -> str:
         path = write(draw.path("a.tif"), world, dsm, seed=1)
         tilted = replace(world, slope=(world.slope[0] + tilt, world.slope[1]))
-        below = write(draw.path("t.tif"), tilted, ground, "ground", seed=2)
+        if kind == "of another town":
+            tilted = replace(World.drawn(world.seed + 1), lon=world.lon, lat=world.lat, base=world.base)
+        below = write(draw.path("t.tif"), tilted, ground, "ground", 2, TERRAINS.get(kind, np.asarray))
         report = draw.path("r.html")
         made = stage(BUILDINGS, heard, dsm=path, dtm=below, output=draw.path("b.gpkg"), report=report)
         area = sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1, _ in world.houses)
@@ -473,10 +503,14 @@ def editdsm(draw: Draw) -> Trial:
     world, rng = draw.world, draw.rng
     form = draw.form(datum="ellipsoid")
     box, value = (-15.0, -12.0, 14.0, 13.0, 0.0), float(world.base + rng.uniform(-3, 3))
-    kind, fault = draw.kind("", "", "raster", "value"), ""
+    kind, fault = draw.kind("", "", "raster", "value", "far", "line", "line at 0"), ""
     if kind == "raster":
         fault, change_it = draw.any_fault(alone=True)
         form = change_it(form)
+    elif kind == "far":
+        fault, value = "a height far from the ground", value + float(rng.uniform(150, 600) * rng.choice((-1, 1)))
+    elif kind == "line at 0":
+        fault, value = "a breakline at 0", 0.0
     elif kind == "value":
         fault, value = "a height that cannot be", float([-9999.0, 32767.0, -3.4e38][rng.integers(3)])
 
@@ -484,36 +518,57 @@ def editdsm(draw: Draw) -> Trial:
         path = write(draw.path("a.tif"), world, form, seed=1)
         edits = write_boxes(draw.path("e.geojson"), world, (box,))
         document = json.loads(Path(edits).read_text(encoding="utf-8"))
-        document["features"][0]["properties"] = {"number": 1, "operation": "set", "value": value, "enabled": 1}
+        feature = document["features"][0]
+        feature["properties"] = {"number": 1, "operation": "set", "value": value, "enabled": 1}
+        if kind.startswith("line"):  # as wide as the box
+            feature["properties"].update(operation="breakline", width=50.0)
+            corners = feature["geometry"]["coordinates"][0]
+            ends = [np.mean([corners[a], corners[b]], axis=0).tolist() for a, b in ((0, 1), (2, 3))]
+            feature["geometry"] = {"type": "LineString", "coordinates": [[*end, value] for end in ends]}
         Path(edits).write_text(json.dumps(document), encoding="utf-8")
         made = stage(EDITDSM, heard, dsm=path, edits=edits, output=draw.path("o.tif"))
         set_to = replace(world, houses=(), slope=(0.0, 0.0), relief=0.0, base=value, changes=())
         values, x, y = read(str(made.output), world)
-        inside = (abs(x + 0.5) < 13.0) & (abs(y - 0.5) < 11.0)
+        line = kind.startswith("line")
+        inside = (abs(x + 0.5) < (0.2 if line else 13.0)) & (abs(y - 0.5) < 11.0)
         away = values[inside] - set_to.surface(x[inside], y[inside])
-        outside = (abs(x + 0.5) > 16.0) | (abs(y - 0.5) > 14.0)
+        outside = (abs(x + 0.5) > (27.0 if line else 16.0)) | (abs(y - 0.5) > (40.0 if line else 14.0))
         rest = values[outside] - world.surface(x[outside], y[outside])
         return _first(
-            off_by(float(np.abs(away).max(initial=0.0)), 0.0, 0.01, "the height in the box, m,"),
+            f"the height set is {value:g} m" if kind in ("far", "line at 0") else "",
+            off_by(float(np.abs(away).max(initial=0.0)), 0.0, 2.0 if line else 0.01, "the height in the box, m,"),
             off_by(float(np.percentile(np.abs(rest), 90)), 0.0, 0.5, "P90 of the errors outside, m,"),
         )
 
     return Trial(fault or "sound", not fault, run)
 
 
+POINTS = {
+    "feet": "points in feet",
+    "geoid": "points above a geoid",
+    "turned": "latitude as longitude",
+    "near": "points 9 m beside",
+    "far": "points 26 m beside",
+    "zero": "heights of points that are 0",
+    "random": "heights of points that are random",
+    "constant": "a DSM that is constant",
+}
+
+
 def checkgcps(draw: Draw) -> Trial:
     """Points of known height on a DSM with a known bias."""
     world, rng = draw.world, draw.rng
     form = draw.form(added=float(rng.uniform(-0.4, 0.4)), datum="ellipsoid", holes=0.0)
-    kind, fault = draw.kind("", "", "raster", "feet", "geoid", "turned"), ""
+    kind, fault = draw.kind("", "", "", "raster", *POINTS), ""
     if kind == "raster":
         fault, change_it = draw.any_fault()
         form = change_it(form)
     elif kind:
-        fault = {"feet": "points in feet", "geoid": "points above a geoid", "turned": "latitude as longitude"}[kind]
+        fault = POINTS[kind]
 
     def run(heard: Heard) -> str:
-        path = write(draw.path("a.tif"), world, form, seed=1)
+        changed = TERRAINS["constant"] if kind == "constant" else np.asarray
+        path = write(draw.path("a.tif"), world, form, seed=1, changed=changed)
         x, y = rng.uniform(-45, 45, (2, 30))
         height = world.surface(x, y)
         away = world.surface(x - form.moved[0], y - form.moved[1]) + form.added - height
@@ -522,6 +577,12 @@ def checkgcps(draw: Draw) -> Trial:
             height = height / FEET
         if kind == "geoid":
             height = height - undulation(world.lon, world.lat)
+        if kind == "random":
+            height = rng.uniform(height.min(), height.max(), height.shape)
+        if kind in ("near", "far"):
+            turn, by = rng.uniform(0, 2 * np.pi), 9.0 if kind == "near" else 26.0
+            lon, lat = between(world.crs, "EPSG:4326").transform(x + by * np.cos(turn), y + by * np.sin(turn))
+        height = height * (kind != "zero")
         lon, lat = (lat, lon) if kind == "turned" else (lon, lat)
         with open(draw.path("p.csv"), "w", newline="", encoding="utf-8") as stream:
             table = csv.writer(stream)
@@ -531,32 +592,47 @@ def checkgcps(draw: Draw) -> Trial:
                 for k, (a, b, h) in enumerate(zip(lon, lat, height))
             )
         made = stage(CHECKGCPS, heard, gcps=draw.path("p.csv"), dsm=path, report=draw.path("r.html"))
-        expected = float(np.median(np.abs(away)))
-        return off_by(float(made.dsm_medae or np.nan), expected, 0.2, "the median absolute error, m,")
+        expected, most = float(np.median(np.abs(away))), _UNSEEN_M if kind in ("near", "far", "constant") else 0.2
+        return off_by(float(made.dsm_medae or np.nan), expected, most, "the median absolute error, m,")
 
     return Trial(fault or "sound", not fault, run)
+
+
+PICTURES = {
+    "a picture of another place": (500.0, 500.0, 560.0, 560.0),
+    "a picture of a quarter": (-SIDE_M / 2, -SIDE_M / 2, 0.0, 0.0),
+    "a picture with a colour in a quarter": (-SIDE_M / 2, -SIDE_M / 2, SIDE_M / 2, SIDE_M / 2),
+}
+QUARTERS: Dict[str, Change] = {"a picture with a colour in a quarter": lambda heights: _quarter(heights)}
+
+
+def _quarter(heights: np.ndarray) -> np.ndarray:
+    kept = heights.copy()
+    kept[:, heights.shape[1] // 4 :] = np.nan
+    return kept
 
 
 def tiles3d(draw: Draw) -> Trial:
     """The tileset's box lies where the surface is."""
     world = draw.world
     form = draw.form()
-    kind, fault = draw.kind("", "", "raster", "picture"), ""
+    kind, fault = draw.kind("", "", "raster", *PICTURES), ""
     if kind == "raster":
         fault, change_it = draw.any_fault(alone=True)
         form = change_it(form)
-    elif kind == "picture":
-        fault = "a picture of another place"
+    elif kind in PICTURES:
+        fault = kind
 
     def run(heard: Heard) -> str:
         path = write(draw.path("a.tif"), world, form, seed=1)
         extra: Dict[str, str] = {}
-        if kind == "picture":
-            beside = replace(form, covers=(500.0, 500.0, 560.0, 560.0))
-            extra = {"ortho": write(draw.path("o.tif"), world, beside, seed=3)}
+        if kind in PICTURES:
+            beside = replace(form, covers=PICTURES[kind])
+            extra = {"ortho": write(draw.path("o.tif"), world, beside, "surface", 3, QUARTERS.get(kind, np.asarray))}
         made = stage(TILES3D, heard, dsm=path, tiles3d=draw.path("t"), **extra)
         root = json.loads(Path(made.tileset).read_text(encoding="utf-8"))["root"]
-        return _box_right(root["boundingVolume"]["box"], root.get("transform"), world)
+        wrong = "most of it has no colours" if kind in PICTURES else ""
+        return wrong or _box_right(root["boundingVolume"]["box"], root.get("transform"), world)
 
     return Trial(fault or "sound", not fault, run)
 

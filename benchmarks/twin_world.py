@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Dict, Optional, Tuple
+from typing import Callable, Dict, Optional, Tuple
 
 import numpy as np
 import pyproj
@@ -13,6 +13,7 @@ from osgeo import gdal, osr
 
 Box = Tuple[float, float, float, float, float]
 """xmin, ymin, xmax, ymax (m from the world's middle) and a height above the ground, m."""
+Change = Callable[[np.ndarray], np.ndarray]
 SIDE_M = 120.0
 NODATA = -9999.0
 FEET = 0.3048
@@ -156,11 +157,13 @@ def cells_of(world: World, form: Form) -> Tuple[Tuple[float, ...], Tuple[int, in
     return (west, wide, 0.0, north, 0.0, -high), (rows, columns), np.asarray(x), np.asarray(y)
 
 
-def write(path: str, world: World, form: Form, heights: str = "surface", seed: int = 0) -> str:
-    """Write a raster of a world's surface or ground; gives its path."""
+def write(
+    path: str, world: World, form: Form, heights: str = "surface", seed: int = 0, changed: Change = np.asarray
+) -> str:
+    """Write a raster of a world's surface or ground, whose (rows, columns) heights were changed; gives its path."""
     transform, shape, x, y = cells_of(world, form)
     rng = np.random.default_rng([world.seed, seed])
-    values = getattr(world, heights)(x - form.moved[0], y - form.moved[1]) + form.added
+    values = changed(getattr(world, heights)(x - form.moved[0], y - form.moved[1])) + form.added
     values = values + form.sigma * rng.normal(size=shape)
     if form.datum == "EGM96":
         values = values - undulation(world.lon, world.lat)

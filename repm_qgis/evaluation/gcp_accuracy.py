@@ -23,7 +23,7 @@ from ..numerics.accuracy import distances, le90
 from ..numerics.robust import nmad
 from ..pointing.ground_control import Gcp, intersect, residuals
 from ..scene import View
-from .grids import Grid, HeightWarper, metres_per_unit
+from .grids import Grid, HeightWarper, cell_sides, metres_per_unit
 from .parameters import GCPS, GcpParameters
 
 COLUMNS = {
@@ -70,7 +70,7 @@ class GcpAccuracy:
     ``errors`` are (N, 3) east, north, up by the names of :data:`COLUMNS` (NaN: not known; a DSM has up only).
     ``residuals``, by "rpc", "compensated" and "scene", map views to (2,) px for each point. ``shifts`` are (2,) px by
     view, from all good control points. ``wrong`` names the control points that contradict the others. ``dsm_heights``
-    are (N,) metres above the ellipsoid.
+    are (N,) metres above the ellipsoid, and ``cell_m`` is the side of its cells.
     """
 
     gcps: List[Gcp]
@@ -79,6 +79,7 @@ class GcpAccuracy:
     shifts: Dict[str, FloatArray] = field(default_factory=dict)
     wrong: Tuple[str, ...] = ()
     dsm_heights: Optional[FloatArray] = None
+    cell_m: float = 0.0
     warnings: List[Finding] = field(default_factory=list)
 
     def rows(self, role: str = "") -> Mask:
@@ -189,12 +190,38 @@ def measure_dsm(found: GcpAccuracy, dsm: gdal.Dataset, points: str, parameters: 
     warper = HeightWarper(dsm, one_cell(low[0], high[1], high[0] - low[0], high[1] - low[1]))
     parts = [one_cell(lon - cell / 2, lat + cell / 2, cell, cell) for lon, lat in places]
     heights = np.array([float(warper.read(part)[0, 0]) for part in parts])
-    found.dsm_heights = heights
+    found.dsm_heights, found.cell_m = heights, max(cell_sides(grid))
     found.errors["dsm"] = np.full((len(heights), 3), np.nan)
     found.errors["dsm"][:, 2] = heights - [gcp.height for gcp in found.gcps]
     found.warnings += _datum_warnings(dsm, grid, warper)
     found.warnings += _missing(found, grid, places, ~np.isfinite(heights))
+    found.warnings += _displaced(found, warper, points, ellipsoid, parameters)
     _warn_of_heights(found, parameters)
+
+
+def _displaced(
+    found: GcpAccuracy, warper: HeightWarper, points: str, ellipsoid: str, parameters: GcpParameters
+) -> List[Finding]:
+    """Whether the points fit to the DSM much better beside their place, up to so many steps."""
+    known = [gcp for gcp, up in zip(found.gcps, found.errors["dsm"][:, 2]) if np.isfinite(up)]
+    if len(known) < parameters.least_searched:
+        return []
+    step, reach = max(parameters.search_step_m, found.cell_m), parameters.search_steps
+    high, side, away = step / _METRES_PER_DEGREE, 2 * reach + 1, []
+    for gcp in known:
+        wide = high / math.cos(math.radians(gcp.lat))
+        corner = (gcp.lon - side / 2 * wide, wide, 0.0, gcp.lat + side / 2 * high, 0.0, -high)
+        away.append(warper.read(Grid(points, (side, side), corner, ellipsoid)) - gcp.height)
+    inside = np.isfinite(away).all(axis=0)  # with fewer points the misfit would be less by chance
+    misfit = np.full(inside.shape, np.inf)
+    here = np.stack(away)[:, inside]
+    misfit[inside] = np.minimum(np.abs(here - np.median(here, axis=0)), parameters.most_misfit_m).mean(axis=0)
+    best = np.unravel_index(int(misfit.argmin()), misfit.shape)
+    if misfit[reach, reach] < parameters.least_misfit_m or misfit[best] > parameters.search_gain * misfit[reach, reach]:
+        return []
+    by = step * float(np.hypot(*(np.array(best) - reach)))
+    text = f"The points of '{points}' fit to the DSM much better {by:.0f} m beside their place"
+    return [Finding("points-displaced", f"{text}: check the CRS and the place of both.", "doubt")]
 
 
 def _datum_warnings(dsm: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List[Finding]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Callable, List, Optional, Tuple
 
 import numpy as np
@@ -17,8 +18,9 @@ from ..imagery.confidence import confidence_bands
 from ..imagery.heights import read_heights, read_values
 from ..imagery.raster import opened
 from ..numerics.robust import NMAD_FACTOR
-from ..registration.solve import mode
-from .open_ground import ground_offsets
+from ..registration.parameters import REGISTRATION
+from ..registration.solve import mode, other_relief
+from .open_ground import open_ground
 from .parameters import GATE, GateParameters
 from .places import ROWS, displaced_by
 
@@ -137,7 +139,7 @@ def terrain_findings(
     dsm: str, terrain: str, promised_m: float = 0.0, parameters: GateParameters = GATE
 ) -> List[Finding]:
     """What is to be known of a terrain that is used below a DSM, whose heights have this usual error (m): how much of
-    it there is, and whether the two lie at the same height.
+    it there is, and whether the two lie at the same height and have the same relief.
 
     Raises ImageError for one that cannot be used, OverlapError where it lies elsewhere.
     """
@@ -158,8 +160,13 @@ def terrain_findings(
             Finding("terrain-partial", f"{text}: nothing is found elsewhere, and what its edge cuts is wrong.")
         )
     if above.size:
-        ground = ground_offsets(differences, windows, cell, parameters)
-        off, tilted = _off(above, ground, promised_m, parameters)
+        ground = open_ground([surface for surface, _ in patches], differences, windows, cell, parameters)
+        off, tilted = _off(above, ground.offsets, promised_m, parameters)
+        relief = None
+        if ground.heights.size >= parameters.open_cells:
+            left = max(parameters.most_left_m, parameters.most_left_cells * max(cell), promised_m)
+            bounds = replace(REGISTRATION, most_left_m=left, unexplained=parameters.unexplained)
+            relief = other_relief(ground.heights, ground.heights - ground.above, bounds)
         if off:
             text = (
                 f"The terrain '{terrain}' lies {'up to ' if tilted else ''}{abs(off):.1f} m "
@@ -167,6 +174,8 @@ def terrain_findings(
             )
             remedy = "check that both have the same vertical datum and unit, and show the same place"
             findings.append(Finding("terrain-off", f"{text}: {remedy}.", "doubt"))
+        elif relief is not None:
+            findings.append(Finding("terrain-relief", relief.sentence(terrain), "doubt"))
         else:
             findings += _displacement(terrain, dsm, patches, cell, parameters)
     return findings

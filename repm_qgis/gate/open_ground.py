@@ -6,11 +6,11 @@ Open ground is what is left of a surface above the terrain by an opening wider t
 
 from __future__ import annotations
 
-from typing import List, Optional, Sequence, Tuple
+from typing import List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..contracts.arrays import FloatArray, FloatImage, Window
+from ..contracts.arrays import FloatArray, FloatImage, Mask, Window
 from ..evaluation.coregistration import block_means
 from ..numerics.robust import nmad, tukey
 from .parameters import GATE, GateParameters
@@ -18,29 +18,49 @@ from .parameters import GATE, GateParameters
 _ROUNDS = 12  # of robust weights
 
 
-def ground_offsets(
+class OpenGround(NamedTuple):
+    """(N,) heights of a DSM on its open ground, m, and how high they lie above the terrain; (M,) how far the ground
+    lies above the terrain at places of it, by a plane: None where too little is seen, or where much lies lower, as
+    beside the wide roof of a hall."""
+
+    heights: FloatArray
+    above: FloatArray
+    offsets: Optional[FloatArray]
+
+
+def open_ground(
+    surfaces: Sequence[FloatImage],
     above: Sequence[FloatImage],
     windows: Sequence[Window],
     cell: Tuple[float, float],
     parameters: GateParameters = GATE,
-) -> Optional[FloatArray]:
-    """(N,) how far the open ground lies above a terrain at N places, m, by a plane; None where too little is seen,
-    or where much lies lower, as beside the wide roof of a hall.
-
-    ``above`` (rows, columns) are a DSM's heights above the terrain in windows of it, m, with cells of these metres.
-    """
+) -> OpenGround:
+    """What windows of a DSM show of the ground: ``surfaces`` are its (rows, columns) heights and ``above`` those above
+    the terrain, m, with cells of these metres."""
     parts: List[FloatArray] = []
-    for heights, window in zip(above, windows):
-        coarse, low, factor = opened_surface(heights, cell, parameters)
-        known, side = np.isfinite(coarse), factor * abs(cell[0])
-        with np.errstate(invalid="ignore"):
-            rough = np.hypot(*np.gradient(coarse, side)) if min(coarse.shape) > 1 else np.full(coarse.shape, np.inf)
-            smooth = (coarse - low < parameters.open_near_m) & (rough < parameters.open_gradient)
+    for surface, heights, window in zip(surfaces, above, windows):
+        coarse, smooth, factor = _smooth(heights, cell, parameters)
+        own, by_itself, _ = _smooth(np.where(np.isfinite(heights), surface, np.float32(np.nan)), cell, parameters)
+        known = np.isfinite(coarse)
         rows, columns = np.nonzero(known)
         x, y = (window.col + columns * factor) * abs(cell[0]), (window.row + rows * factor) * abs(cell[1])
-        parts.append(np.column_stack([x, y, coarse[known], smooth[known]]).astype(np.float64))
-    x, y, whole, smooth = np.concatenate([np.empty((0, 4)), *parts]).T
-    ground = smooth > 0
+        parts.append(np.column_stack([x, y, *(each[known] for each in (own, coarse, by_itself | smooth, smooth))]))
+    x, y, own, whole, shown, smooth = np.concatenate([np.empty((0, 6)), *parts]).astype(np.float64).T
+    return OpenGround(own[shown > 0], whole[shown > 0], _offsets(x, y, whole, smooth > 0, parameters))
+
+
+def _smooth(heights: FloatImage, cell: Tuple[float, float], parameters: GateParameters) -> Tuple[FloatArray, Mask, int]:
+    """Means of heights over blocks of so many cells, and which of these are ground."""
+    coarse, low, factor = opened_surface(heights, cell, parameters)
+    with np.errstate(invalid="ignore"):
+        steep = np.hypot(*np.gradient(coarse, factor * abs(cell[0]))) if min(coarse.shape) > 1 else np.inf
+        return coarse, (coarse - low < parameters.open_near_m) & (steep < parameters.open_gradient), factor
+
+
+def _offsets(
+    x: FloatArray, y: FloatArray, whole: FloatArray, ground: Mask, parameters: GateParameters
+) -> Optional[FloatArray]:
+    """(M,) how far the ground lies above a terrain, of (N,) places with these heights above it; None as above."""
     if ground.sum() < max(parameters.open_cells, parameters.open_share * whole.size):
         return None
     every = np.column_stack([x - x.mean(), y - y.mean(), np.ones(x.size)])

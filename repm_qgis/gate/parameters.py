@@ -34,6 +34,9 @@ class GateParameters(Parameters):
     open_mode_share: float = 0.25  # of the most cells that lie in a metre: the lowest metre with so many is the ground
     open_tukey: float = 4.0  # spreads from the plane, from which on cells do not count
     open_least_m: float = 0.1  # of that spread
+    most_left_m: float = 0.5  # spread of the open ground about a terrain: DSMs of lasers and images leave 0.02 to 0.43
+    most_left_cells: float = 0.5
+    unexplained: float = 0.5  # of that ground's own spread, which a terrain makes less; else it is another place's
     near_m: float = (
         5.0  # of a DSM's heights to a terrain, where ground is compared with ground; larger misfits count so
     )

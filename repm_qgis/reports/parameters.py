@@ -25,6 +25,9 @@ class VerdictParameters(Parameters):
     most_moved_cells: float = 3.0  # ... by so many cells
     most_raised_m: float = 110.0  # and up: more than any geoid
     least_points: int = 4  # ground control points: with fewer, none can be called wrong
+    most_points_m: float = 3.0  # spread of a DSM's errors at them (RMS), or a cell: a storey, as where a place is wrong
+    most_points_left_m: float = 1.0  # the same by the shortest half, or a cell, where the points' heights explain ...
+    most_points_unexplained: float = 0.5  # ... less than the rest of the spread of the DSM's
     most_bias_m: float = 0.5  # median difference from a reference, or of two DSMs of a mosaic ...
     most_bias_nmads: float = 2.0  # ... where it is more than so many NMADs, too
     most_spread_m: float = 10.0  # NMAD against a reference; DSMs of satellite images have 0.3 to 4 m ...

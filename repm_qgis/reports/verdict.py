@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
 from typing import List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
+from ..contracts.arrays import FloatArray, Mask
 from ..contracts.findings import Finding, distinct
 from ..contracts.records import FusionFacts, OtherRelief, PairFigures, RegistrationFigures
 from ..evaluation.gcp_accuracy import GcpAccuracy
 from ..evaluation.metrics import HeightMetrics
 from ..evaluation.parameters import GCPS
 from ..numerics.robust import nmad
+from ..registration.parameters import REGISTRATION
+from ..registration.solve import other_relief
 from ..rpc.correction import DELIVERED, JITTERED, CorrectedRpc
 from ..runtime.progress import counted
 from ..scene import Scene
@@ -185,7 +189,10 @@ def of_points(found: GcpAccuracy, bounds: VerdictParameters = VERDICT) -> List[F
                 )
             )
     up = found.errors["dsm"][found.rows(), 2] if "dsm" in found.errors else np.empty(0)
-    up = up[np.isfinite(up)]
+    known = np.isfinite(up)
+    if known.sum() >= bounds.least_points:
+        said += _spread_of_points(found, up, known, bounds)
+    up = up[known]
     if up.size and abs(np.median(up)) > max(bounds.most_bias_nmads * nmad(up), bounds.most_bias_m):
         said.append(
             Finding(
@@ -195,6 +202,31 @@ def of_points(found: GcpAccuracy, bounds: VerdictParameters = VERDICT) -> List[F
             )
         )
     return said
+
+
+def _spread_of_points(found: GcpAccuracy, up: FloatArray, known: Mask, bounds: VerdictParameters) -> List[Finding]:
+    """Whether the heights of points say something of the DSM, whose errors at those that count are (N,) m."""
+    if found.dsm_heights is not None:
+        own = found.dsm_heights[found.rows()][known]
+        left = max(bounds.most_points_left_m, found.cell_m)
+        limits = replace(REGISTRATION, most_left_m=left, unexplained=bounds.most_points_unexplained)
+        relief = other_relief(own, own - up[known], limits)
+        if relief is not None:
+            text = (
+                f"The heights of the points do not vary with the DSM's (correlation {relief.correlation:+.2f}, the "
+                f"DSM's vary {relief.ratio:.2g} times as much)"
+            )
+            return [Finding("points-relief", f"{text}: check that both show the same place, and their units.", "doubt")]
+    away, most = np.abs(up - np.median(up[known])), max(bounds.most_points_m, found.cell_m)
+    rms = float(np.sqrt(np.mean(away[known] ** 2)))
+    if rms <= most:
+        return []
+    worst = [gcp.id for gcp, yes in zip(found.gcps, found.rows()) if yes][int(np.nanargmax(away))]
+    text = (
+        f"The errors of the DSM's heights at the points spread by {rms:.1f} m (RMS about their median; usual: at most "
+        f"{most:.3g} m), most at {worst} ({np.nanmax(away):.1f} m): check the places of the points"
+    )
+    return [Finding("points-spread", f"{text}, and that they lie on open ground.", "doubt")]
 
 
 class Difference(NamedTuple):
