@@ -215,7 +215,7 @@ def _displaced(
     inside = np.isfinite(away).all(axis=0)  # with fewer points the misfit would be less by chance
     misfit = np.full(inside.shape, np.inf)
     here = np.stack(away)[:, inside]
-    misfit[inside] = np.minimum(np.abs(here - np.median(here, axis=0)), parameters.most_misfit_m).mean(axis=0)
+    misfit[inside] = np.median(np.abs(here - np.median(here, axis=0)), axis=0)  # towns have points at walls
     best = np.unravel_index(int(misfit.argmin()), misfit.shape)
     if misfit[reach, reach] < parameters.least_misfit_m or misfit[best] > parameters.search_gain * misfit[reach, reach]:
         return []

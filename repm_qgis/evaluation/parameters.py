@@ -82,9 +82,8 @@ class GcpParameters(Parameters):
     least_searched: int = 8  # points whose place is looked for: fewer fit somewhere by chance
     search_step_m: float = 2.0  # of that search; a cell, where it is wider
     search_steps: int = 16  # to each side
-    least_misfit_m: float = 0.5  # mean distance from the median error, from which on a place may be wrong; single
-    most_misfit_m: float = 5.0  # errors count up to this
-    search_gain: float = 0.5  # of that mean, at most, at a better place
+    least_misfit_m: float = 1.0  # median distance from the median error, from which on a place may be wrong
+    search_gain: float = 0.5  # of that distance, at most, at a better place
 
 
 @dataclass(frozen=True)

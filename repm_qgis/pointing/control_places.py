@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Callable, Dict, List, Sequence, Tuple
+from typing import Callable, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 import pyproj
 
 from ..contracts.arrays import FloatArray
 from ..contracts.errors import InputTableError
+from ..contracts.findings import Finding
 from ..geometry.height_causes import FOOT_M
 from ..planning.promises import promise_of
 from ..runtime.progress import counted, listed
@@ -113,11 +114,19 @@ def _spreads(gcps: Sequence[Gcp], views: Sequence[View], parameters: PointingPar
 
 
 def require_places(
-    gcps: Sequence[Gcp], views: Sequence[View], path: str, parameters: PointingParameters = POINTING
+    gcps: Sequence[Gcp],
+    views: Sequence[View],
+    path: str,
+    parameters: PointingParameters = POINTING,
+    warn: Optional[Callable[[Finding], None]] = None,
 ) -> None:
     """Raise InputTableError where points as a whole were read wrongly (:func:`misread`), or do not belong to the images
-    (:func:`misplaced`)."""
-    text = misread(gcps, views, path, parameters) or misplaced(gcps, views, path, parameters)
+    (:func:`misplaced`): these are only named, by ``warn``, where some lie in an image's footprint."""
+    text = misread(gcps, views, path, parameters)
+    if not text:
+        text = misplaced(gcps, views, path, parameters)
+        if text and warn and any(point.inside for point in placed_points(gcps, views, parameters)):
+            return warn(Finding("points-misplaced", text))
     if text:
         raise InputTableError(text)
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import replace
 from typing import List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
@@ -20,8 +19,7 @@ from ..evaluation.gcp_accuracy import GcpAccuracy
 from ..evaluation.metrics import HeightMetrics
 from ..evaluation.parameters import GCPS
 from ..numerics.robust import nmad
-from ..registration.parameters import REGISTRATION
-from ..registration.solve import other_relief
+from ..registration.solve import half_spread
 from ..rpc.correction import DELIVERED, JITTERED, CorrectedRpc
 from ..runtime.progress import counted
 from ..scene import Scene
@@ -208,13 +206,11 @@ def _spread_of_points(found: GcpAccuracy, up: FloatArray, known: Mask, bounds: V
     """Whether the heights of points say something of the DSM, whose errors at those that count are (N,) m."""
     if found.dsm_heights is not None:
         own = found.dsm_heights[found.rows()][known]
-        left = max(bounds.most_points_left_m, found.cell_m)
-        limits = replace(REGISTRATION, most_left_m=left, unexplained=bounds.most_points_unexplained)
-        relief = other_relief(own, own - up[known], limits)
-        if relief is not None:
+        left, relief = half_spread(up[known]), max(half_spread(own), half_spread(own - up[known]))
+        if left > max(bounds.most_points_left_m, found.cell_m, bounds.most_points_unexplained * relief):
             text = (
-                f"The heights of the points do not vary with the DSM's (correlation {relief.correlation:+.2f}, the "
-                f"DSM's vary {relief.ratio:.2g} times as much)"
+                f"The heights of the points do not vary with the DSM's: these and the points' spread by {relief:.1f} m "
+                f"at most, and their differences by {left:.1f} m"
             )
             return [Finding("points-relief", f"{text}: check that both show the same place, and their units.", "doubt")]
     away, most = np.abs(up - np.median(up[known])), max(bounds.most_points_m, found.cell_m)

@@ -7,7 +7,7 @@ from typing import Dict, List, Optional, Tuple
 import numpy as np
 from osgeo import ogr
 
-from ..contracts.errors import EmptyResultError, InputTableError
+from ..contracts.errors import EmptyResultError
 from ..contracts.findings import Finding
 from ..contracts.options import CheckGcpsOptions
 from ..contracts.results import CheckGcpsResult, PointErrors
@@ -17,7 +17,7 @@ from ..geometry.frames import projected_from_geodetic, utm_crs
 from ..imagery.raster import opened
 from ..names import scene_title, surface_title
 from ..pointing.control_heights import heights_off
-from ..pointing.control_places import misplaced, misread, placed_points
+from ..pointing.control_places import require_places
 from ..pointing.ground_control import Gcp, read_gcps
 from ..reports import verdict
 from ..reports.gcp_page import gcp_page
@@ -65,12 +65,7 @@ def run(options: CheckGcpsOptions, progress: Progress) -> CheckGcpsResult:
 
 def _measure_images(scene: Scene, found: GcpAccuracy, options: CheckGcpsOptions) -> None:
     if any(gcp.pixels for gcp in found.gcps):
-        if unread := misread(found.gcps, scene.views, options.gcps):
-            raise InputTableError(unread)
-        wrong = misplaced(found.gcps, scene.views, options.gcps)
-        if wrong and not any(point.inside for point in placed_points(found.gcps, scene.views)):
-            raise InputTableError(wrong)
-        found.warnings += [Finding("points-misplaced", wrong)] * bool(wrong)
+        require_places(found.gcps, scene.views, options.gcps, warn=found.warnings.append)
         measure_images(found, scene.views)
         tied = [pair for pair in scene.pairs if pair.tied]
         off = heights_off(found.gcps, scene.views, tied, scene.pointing)
