@@ -315,7 +315,8 @@ def mosaic(draw: Draw) -> Trial:
         shown = replace(world, slope=(world.slope[0] + tilt, world.slope[1]))
     elif kind == "bare":
         fault, surface = "a terrain as a second DSM", "ground"
-        world = shown = with_houses(draw)
+        houses = tuple((x - 8.0, -8.0, x + 8.0, 8.0, float(draw.rng.uniform(5, 12))) for x in (0.0, 38.0))
+        world = shown = replace(world, houses=(*houses, *world.houses))
     elif kind == "relief":
         fault = "a DSM of another relief"
         other = World.drawn(world.seed + 1)
@@ -336,7 +337,8 @@ def mosaic(draw: Draw) -> Trial:
             ]
         made = stage(MOSAIC, heard, dsms=[one, other], confidences=errors, **target)
         above = undulation(world.lon, world.lat) if left.datum == "EGM96" else 0.0
-        return _heights_right(str(made.output), world, above, 0.25)
+        wrong = "the second DSM's houses are missing" if kind == "bare" else ""
+        return wrong or _heights_right(str(made.output), world, above, 0.25)
 
     return Trial(fault or "sound", not fault, run)
 

@@ -37,6 +37,13 @@ class GateParameters(Parameters):
     most_left_m: float = 0.5  # spread of the open ground about a terrain: DSMs of lasers and images leave 0.02 to 0.43
     most_left_cells: float = 0.5
     unexplained: float = 0.5  # of that ground's own spread, which a terrain makes less; else it is another place's
+    most_tilt_m: float = 0.75  # of two DSMs against each other, over their overlap; and so many cells
+    most_tilt_cells: float = 0.25
+    object_width_m: float = 24.0  # of an opening that takes houses off, and leaves hills
+    object_m: float = 3.0  # above that opening: a storey
+    object_m2: float = 100.0  # that stand so high, and this share of the overlap
+    object_share: float = 0.01
+    most_gone: float = 0.8  # of the cells that stand so high in one DSM, and less than half as high in another
     near_m: float = (
         5.0  # of a DSM's heights to a terrain, where ground is compared with ground; larger misfits count so
     )

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import List, Sequence
+from dataclasses import dataclass, replace
+from typing import List, Sequence, Tuple
 
+import numpy as np
+
+from ..contracts.arrays import Window
 from ..contracts.file_kinds import is_cloud
-from ..contracts.findings import Finding
+from ..contracts.findings import Finding, as_percent
+from ..evaluation.coregistration import Patch
 from .companions import confidence_findings
 from .content import require_distinct_content
+from .open_ground import open_ground, opened_surface
+from .parameters import GATE, GateParameters
 
 
 @dataclass(frozen=True)
@@ -43,3 +49,38 @@ def surface_findings(entries: Sequence[Entry], why: str) -> List[Finding]:
         for each in with_errors
         for finding in confidence_findings(each.path, each.confidence, each.confidence_option)
     ]
+
+
+def overlap_findings(
+    patches: Sequence[Patch],
+    windows: Sequence[Window],
+    cell: Tuple[float, float],
+    names: Tuple[str, str],
+    parameters: GateParameters = GATE,
+) -> List[Finding]:
+    """Whether two DSMs are tilted against each other, or one of them lacks what stands on the ground in the other.
+
+    ``patches`` are (rows, columns) heights of both in windows of their overlap, m, with cells of these metres.
+    """
+    found = []
+    differences = [first - second for first, second in patches]
+    plane = open_ground([first for first, _ in patches], differences, windows, cell, parameters).offsets
+    tilt = 0.0 if plane is None else float(np.ptp(np.percentile(plane, (2.0, 98.0))))
+    if tilt > max(parameters.most_tilt_m, parameters.most_tilt_cells * max(cell)):
+        text = f"{names[1]} is tilted against {names[0]}: by {tilt:.1f} m over their overlap, and by more beyond it"
+        found.append(Finding("overlap-tilted", f"{text}. Register both (repm:register), or leave one out.", "doubt"))
+    raised, narrow = [], replace(parameters, open_width_m=parameters.object_width_m)
+    for patch in patches:
+        coarse, low = zip(*(opened_surface(heights, cell, narrow)[:2] for heights in patch))
+        both = np.isfinite(coarse).all(axis=0)
+        raised.append((np.stack(coarse) - np.stack(low))[:, both])
+    objects = np.concatenate([np.empty((2, 0)), *raised], axis=1)
+    for own, other, (name, bare) in ((*objects, names), (*objects[::-1], names[::-1])):
+        stands = own > parameters.object_m
+        gone = float(np.mean(other[stands] < own[stands] / 2)) if stands.any() else 0.0
+        least = max(parameters.object_m2 / abs(cell[0] * cell[1]), parameters.object_share * stands.size)
+        if stands.sum() >= least and gone > parameters.most_gone:
+            text = f"{as_percent(gone)} of what stands more than {parameters.object_m:g} m high in {name} is missing in"
+            text = f"{text} {bare}, which may be a terrain"
+            found.append(Finding("overlap-bare", f"{text}: give DSMs, or leave it out.", "doubt"))
+    return found

@@ -14,8 +14,10 @@ import numpy as np
 from ..contracts.arrays import FloatArray, FloatImage, IntArray, Window
 from ..contracts.documents import JsonObject
 from ..contracts.errors import EmptyResultError
+from ..contracts.findings import Finding
 from ..evaluation.coregistration import align, block_means
 from ..evaluation.grids import Grid, HeightWarper, cell_metres, metres_per_unit
+from ..gate.surfaces import overlap_findings
 from ..geometry.cell_grid import overlapping_blocks
 from ..imagery import raster
 from ..imagery.heights import read_heights
@@ -82,40 +84,46 @@ def measure_pair(task: PairTask) -> Optional[Overlap]:
     seen = sum(window.width * window.height for window in windows)
     cells_of_all = round(found.size * task.window.width * task.window.height / seen)
     first_number, second_number = task.numbers
+    unlike = other_relief(heights[1], heights[0], relief)
+    displaced, findings = _compared(task)
     return Overlap(
         first=first_number,
         second=second_number,
         cells=cells_of_all,
         median=float(np.median(found)),
         nmad=nmad(found),
-        displaced=_displacement(task),
-        other_relief=other_relief(heights[1], heights[0], relief),
+        displaced=displaced,
+        other_relief=unlike,
+        findings=() if unlike else findings,
     )
 
 
-def _displacement(task: PairTask) -> Optional[Tuple[float, float]]:
-    """How far the second DSM lies to the east and north of the first, m; None where the relief is too weak to find
-    it."""
+def _compared(task: PairTask) -> Tuple[Optional[Tuple[float, float]], Tuple[Finding, ...]]:
+    """How far the second DSM lies to the east and north of the first, m, None where the relief is too weak to find it;
+    and whether it is tilted, or shows the ground alone."""
     choices, cell = task.parameters, min(cell_metres(task.target))
     factor = max(1, math.ceil(choices.displaced_cell_m / cell))
     windows = _patches(task.window, choices.displaced_patch_cells * factor, choices.displaced_patches)
     largest = max(min(window.width, window.height) for window in windows)
-    patches = []
+    patches, coarse = [], []
     with raster.opened(task.dsms[0].path) as first, raster.opened(task.dsms[1].path) as second:
         warpers = [HeightWarper(dataset, task.target) for dataset in (second, first)]
         for window in windows:
             if min(window.width, window.height) * 2 > largest:  # the smallest one bounds the search
+                coarse.append(Window(window.col // factor, window.row // factor, 0, 0))
                 cells = task.target.window(window)
                 dsm, reference = (block_means(warper.read(cells), factor) for warper in warpers)
                 patches.append((dsm, reference))
-    try:
-        found = align("3d", patches, (cell * factor, cell * factor))
-    except EmptyResultError:
-        return None
     cells_m = (cell * factor, cell * factor)
+    names = f"DSM {task.numbers[0] + 1}", f"DSM {task.numbers[1] + 1}"
+    findings = tuple(overlap_findings([patch[::-1] for patch in patches], coarse, cells_m, names))
+    try:
+        found = align("3d", patches, cells_m)
+    except EmptyResultError:
+        return None, findings
     before = _mean_deviation([dsm - reference for dsm, reference in patches])
     after = _mean_deviation([found.applied(dsm, cells_m) - reference for dsm, reference in patches])
-    return (-found.dx, -found.dy) if after <= choices.displaced_gain * before else (0.0, 0.0)
+    return ((-found.dx, -found.dy) if after <= choices.displaced_gain * before else (0.0, 0.0)), findings
 
 
 def _mean_deviation(differences: Sequence[FloatImage]) -> float:

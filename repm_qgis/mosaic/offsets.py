@@ -14,6 +14,7 @@ from typing import Collection, Dict, List, Optional, Sequence, Tuple
 import numpy as np
 
 from ..contracts.arrays import FloatArray
+from ..contracts.findings import Finding
 from ..contracts.records import OtherRelief
 from ..numerics.robust import NMAD_FACTOR
 from .parameters import MOSAIC, OffsetParameters
@@ -26,7 +27,7 @@ class Overlap:
     """Two DSMs by their numbers: the cells that both have, and the median and NMAD of first - second there, m.
 
     ``displaced`` is how far the second lies east and north of the first, m; None where the relief is too weak to find
-    it. ``other_relief``: the second does not have the first one's relief.
+    it. ``other_relief``: the second does not have the first one's relief. ``findings``: what else tells the two apart.
     """
 
     first: int
@@ -36,6 +37,7 @@ class Overlap:
     nmad: float
     displaced: Optional[Tuple[float, float]] = None
     other_relief: Optional[OtherRelief] = None
+    findings: Tuple[Finding, ...] = ()
 
     def after(self, added: FloatArray) -> float:
         """The median difference after the offsets are added, m."""

@@ -117,7 +117,7 @@ def _run(options: MosaicOptions, folder: str, progress: Progress, parameters: En
     if seam is not None:
         progress.info(f"Along the seams, two DSMs differ by {seam:.3f} m (median) before their heights are blended.")
     left = left_differences(overlaps, offsets)
-    warn_all(whole, verdict.of_mosaic(left))
+    warn_all(whole, [*verdict.of_mosaic(left), *(finding for each in overlaps for finding in each.findings)])
     if options.report:
         page = mosaic_page(options, layout, overlaps, offsets=offsets, left=left, cells=cells, seam=seam)
         page.of(mosaic_name(options.output, (*options.dsms, *options.scenes))).write(options.report, whole)
