@@ -603,15 +603,13 @@ def checkgcps(draw: Draw) -> Trial:
 PICTURES = {
     "a picture of another place": (500.0, 500.0, 560.0, 560.0),
     "a picture of a quarter": (-SIDE_M / 2, -SIDE_M / 2, 0.0, 0.0),
-    "a picture with a colour in a quarter": (-SIDE_M / 2, -SIDE_M / 2, SIDE_M / 2, SIDE_M / 2),
+    "a picture with colours in a quarter": (-SIDE_M / 2, -SIDE_M / 2, SIDE_M / 2, SIDE_M / 2),
 }
-QUARTERS: Dict[str, Change] = {"a picture with a colour in a quarter": lambda heights: _quarter(heights)}
-
-
-def _quarter(heights: np.ndarray) -> np.ndarray:
-    kept = heights.copy()
-    kept[:, heights.shape[1] // 4 :] = np.nan
-    return kept
+PARTS: Dict[str, Change] = {
+    "a picture with colours in a quarter": lambda values: np.where(
+        np.indices(values.shape)[1] < values.shape[1] // 4, values, np.nan
+    )
+}
 
 
 def tiles3d(draw: Draw) -> Trial:
@@ -630,7 +628,8 @@ def tiles3d(draw: Draw) -> Trial:
         extra: Dict[str, str] = {}
         if kind in PICTURES:
             beside = replace(form, covers=PICTURES[kind])
-            extra = {"ortho": write(draw.path("o.tif"), world, beside, "surface", 3, QUARTERS.get(kind, np.asarray))}
+            beside = replace(beside, scaled=False, unit="m")
+            extra = {"ortho": write(draw.path("o.tif"), world, beside, "surface", 3, PARTS.get(kind, np.asarray))}
         made = stage(TILES3D, heard, dsm=path, tiles3d=draw.path("t"), **extra)
         root = json.loads(Path(made.tileset).read_text(encoding="utf-8"))["root"]
         wrong = "most of it has no colours" if kind in PICTURES else ""

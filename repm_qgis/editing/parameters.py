@@ -14,6 +14,9 @@ class EditingParameters(Parameters):
 
     shore_cells: int = FUSION.water.shore_cells  # width of the strip around water that says how high the water is
     shore_percentile: float = FUSION.water.shore_percentile  # of its heights, as where water is found in images
+    looked_px: int = 256  # side of the picture of the heights around an edit
+    far_m: float = 30.0  # from all of these to a height that an edit sets: more than houses
+    drawn_m: float = 1.0  # the same where all vertices of a line have 0
     most_solved: int = 1_000_000  # cells of a window whose fill is solved as a whole; of more, on coarser cells
     accurate_m: float = 1e-4  # how exactly a fill is solved
     most_iterations: int = 200  # 30 are usual

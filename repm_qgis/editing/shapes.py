@@ -7,17 +7,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import List, Optional, Tuple
+from typing import List, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import ogr, osr
 
 from ..contracts.arrays import FloatArray, Mask, Window
 from ..contracts.errors import InputTableError
+from ..contracts.findings import Finding
 from ..evaluation.grids import Grid
 from ..geometry.frames import flat_crs
 from ..imagery.cell_polygons import inside
+from ..imagery.heights import read_heights
+from ..imagery.raster import opened
 from .edits import Edit, Edits
+from .parameters import EDITING, EditingParameters
 
 
 @dataclass(frozen=True)
@@ -93,6 +97,34 @@ def shapes_of(edits: Edits, grid: Grid, cell: float) -> List[Tuple[Edit, Shape]]
     same = bool(source.IsSame(target))
     transformation = None if same else osr.CoordinateTransformation(source, target)
     return [(edit, _shape(edits.path, edit, transformation, grid, cell)) for edit in edits.edits if edit.enabled]
+
+
+def height_findings(
+    dsm: str, grid: Grid, shapes: Sequence[Tuple[Edit, Shape]], parameters: EditingParameters = EDITING
+) -> List[Finding]:
+    """The edits whose own heights lie far from all heights of the DSM around them, or are 0 as those of lines that
+    were drawn without heights."""
+    found = []
+    with opened(dsm) as dataset:
+        whole = Window(0, 0, *grid.size)
+        for edit, shape in shapes:
+            window, drawn = shape.window(grid), np.concatenate([np.empty((0, 3)), *shape.lines])[:, 2]
+            values = drawn[np.isfinite(drawn)] if edit.operation == "breakline" else np.array([edit.value], np.float64)
+            if window is None or edit.operation not in ("breakline", "set", "flatten") or not values.size:
+                continue
+            for part in (window.grown(parameters.shore_cells, grid.size), whole):
+                size = min(part.width, parameters.looked_px), min(part.height, parameters.looked_px)
+                around = read_heights(dataset, part, size=size)
+                around = around[np.isfinite(around)].astype(np.float64)
+                if around.size:
+                    break
+            away = np.maximum(around.min() - values, values - around.max()) if around.size else np.zeros(1)
+            worst = int(away.argmax())
+            if away[worst] > (parameters.drawn_m if len(values) > 1 and not values.any() else parameters.far_m):
+                text = f"Edit {edit.number} has the height {values[worst]:g} m, {away[worst]:.0f} m beyond all heights"
+                text = f"{text} of '{dsm}' around it: check its value, or the Z of its vertices"
+                found.append(Finding("edit-far", f"{text} and their vertical datum.", "doubt"))
+    return found
 
 
 def _shape(path: str, edit: Edit, transformation: osr.CoordinateTransformation, grid: Grid, cell: float) -> Shape:

@@ -222,13 +222,19 @@ def picture_findings(dsm: str, picture: str, share: float, parameters: GateParam
     return [Finding("picture-partial", f"{text}: the rest has no colours.")]
 
 
-def share_under(picture: Grid, dsm: Grid) -> float:
-    """The share of a DSM's extent that lies in a picture's; raises OverlapError where it lies elsewhere."""
-    outer, inner = bounds_on(picture, dsm) if picture.wkt and dsm.wkt else picture.bounds, dsm.bounds
-    width, height = (min(outer[i + 2], inner[i + 2]) - max(outer[i], inner[i]) for i in (0, 1))
-    share = max(width, 0.0) * max(height, 0.0) / ((inner.xmax - inner.xmin) * (inner.ymax - inner.ymin))
-    if not share > 0.0:
+def share_under(picture: gdal.Dataset, dsm: gdal.Dataset) -> float:
+    """The share of a DSM's heights for which a picture has a value, by some rows; raises OverlapError where it lies
+    elsewhere."""
+    grid, other = Grid.of(dsm), Grid.of(picture)
+    outer, inner = bounds_on(other, grid) if other.wkt and grid.wkt else other.bounds, grid.bounds
+    if not all(min(outer[i + 2], inner[i + 2]) > max(outer[i], inner[i]) for i in (0, 1)):
         raise OverlapError(
-            f"The orthophoto '{picture.path}' does not lie over the DSM '{dsm.path}': choose the one of the same place."
+            f"The orthophoto '{other.path}' does not lie over the DSM '{grid.path}': choose the one of the same place."
         )
-    return share
+    warper, shown, known = HeightWarper(picture, grid, heights=False), 0, 0
+    for row in np.unique(np.linspace(0, grid.size[1] - 1, min(grid.size[1], _FEW_ROWS)).astype(int)):
+        window = Window(0, int(row), grid.size[0], 1)
+        has = np.isfinite(read_heights(dsm, window))
+        known += int(has.sum())
+        shown += int((has & np.isfinite(warper.read(grid.window(window)))).sum())
+    return shown / max(known, 1)

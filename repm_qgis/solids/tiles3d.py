@@ -84,7 +84,7 @@ def write_tiles3d(
         dataset = stack.enter_context(opened(dsm))
         paint = stack.enter_context(opened_paint(ortho, parameters.painting)) if ortho else None
         if ortho and paint is not None:
-            warn_all(progress, picture_findings(dsm, ortho, share_under(Grid.of(paint.dataset), Grid.of(dataset))))
+            warn_all(progress, picture_findings(dsm, ortho, share_under(paint.dataset, dataset)))
         whole = stack.enter_context(whole_folder(folder))
         (whole / "tiles").mkdir()
         tree = _Tree(dataset, whole, paint, progress, parameters)

@@ -24,7 +24,7 @@ from ..editing.apply import Surface
 from ..editing.edits import Edits, read_edits
 from ..editing.parameters import EDITING, EditingParameters
 from ..editing.session import ORIGIN
-from ..editing.shapes import shapes_of
+from ..editing.shapes import height_findings, shapes_of
 from ..evaluation.grids import Grid
 from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.vertical import DEVIATION_TAG
@@ -51,6 +51,7 @@ def run(options: EditDsmOptions, progress: Progress, parameters: EditingParamete
     grid = Grid(options.dsm, surface.size, surface.transform, surface.crs)
     edits = read_edits(options.edits)
     shapes = shapes_of(edits, grid, surface.cell)
+    warn_all(progress, height_findings(options.dsm, grid, shapes, parameters))
     named = _confidence(options)
     if not shapes:
         text = f"No edit of '{options.edits}' is enabled, so the DSM stays as it is: set the field 'enabled' to 1."
