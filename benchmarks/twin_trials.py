@@ -246,7 +246,7 @@ def series(draw: Draw) -> Trial:
     box = (-25.0, -25.0, 25.0, 25.0)
     rate = float(rng.uniform(0.8, 2.0))
     form = draw.form(sigma=0.1, scaled=False)
-    kinds = "", "", "", "errors", "raster", "copy", "reversed", "year", "offset", "beside", "half", "centimetres"
+    kinds = "", "", "", "errors", "raster", "copy", "reversed", "year", "offset", "beside", "half", "centimetres", "crossed"
     kind, fault, change_it = draw.kind(*kinds), "", None
     if kind == "raster":
         fault, change_it = draw.any_fault()
@@ -260,6 +260,7 @@ def series(draw: Draw) -> Trial:
             "offset": "one date 2 m too high",
             "beside": "a date 5 m beside, not aligned",
             "half": "a date of one half",
+            "crossed": "a polygon that crosses itself",
         }[kind]
 
     def run(heard: Heard) -> str:
@@ -279,6 +280,8 @@ def series(draw: Draw) -> Trial:
         if kind == "year":
             said[3] = ["0018-05-01", "2320-05-01"][int(rng.integers(2))]
         areas = write_boxes(draw.path("areas.geojson"), world, ((*box, 0.0),))
+        if kind == "crossed":
+            _cross(areas)
         target = {"output": draw.path("s.tif"), "report": draw.path("r.html")}
         errors = []
         if kind in ("errors", "centimetres"):
@@ -289,6 +292,14 @@ def series(draw: Draw) -> Trial:
         return off_by(made.volume_m3, true, 3 * made.volume_deviation_m3 + 0.05 * true, "the volume, m3,")
 
     return Trial(fault or "sound", not fault, run)
+
+
+def _cross(path: str) -> None:
+    """Exchange two vertices of a file's first polygon."""
+    document = json.loads(Path(path).read_text(encoding="utf-8"))
+    ring = document["features"][0]["geometry"]["coordinates"][0]
+    ring[1], ring[2] = ring[2], ring[1]
+    Path(path).write_text(json.dumps(document), encoding="utf-8")
 
 
 def mosaic(draw: Draw) -> Trial:
@@ -505,12 +516,14 @@ def editdsm(draw: Draw) -> Trial:
     world, rng = draw.world, draw.rng
     form = draw.form(datum="ellipsoid")
     box, value = (-15.0, -12.0, 14.0, 13.0, 0.0), float(world.base + rng.uniform(-3, 3))
-    kind, fault = draw.kind("", "", "raster", "value", "far", "line", "line at 0"), ""
+    kind, fault = draw.kind("", "", "raster", "value", "far", "line", "line at 0", "crossed"), ""
     if kind == "raster":
         fault, change_it = draw.any_fault(alone=True)
         form = change_it(form)
     elif kind == "far":
         fault, value = "a height far from the ground", value + float(rng.uniform(150, 600) * rng.choice((-1, 1)))
+    elif kind == "crossed":
+        fault = "a polygon that crosses itself"
     elif kind == "line at 0":
         fault, value = "a breakline at 0", 0.0
     elif kind == "value":
@@ -519,6 +532,8 @@ def editdsm(draw: Draw) -> Trial:
     def run(heard: Heard) -> str:
         path = write(draw.path("a.tif"), world, form, seed=1)
         edits = write_boxes(draw.path("e.geojson"), world, (box,))
+        if kind == "crossed":
+            _cross(edits)
         document = json.loads(Path(edits).read_text(encoding="utf-8"))
         feature = document["features"][0]
         feature["properties"] = {"number": 1, "operation": "set", "value": value, "enabled": 1}
@@ -626,9 +641,9 @@ def tiles3d(draw: Draw) -> Trial:
     def run(heard: Heard) -> str:
         path = write(draw.path("a.tif"), world, form, seed=1)
         extra: Dict[str, str] = {}
-        if kind in PICTURES:
-            beside = replace(form, covers=PICTURES[kind])
-            beside = replace(beside, scaled=False, unit="m")
+        if kind in PICTURES or not kind:
+            covers = PICTURES.get(kind, (-SIDE_M, -SIDE_M, SIDE_M, SIDE_M))
+            beside = draw.form(covers=covers, scaled=False, unit="m", holes=0.0)
             extra = {"ortho": write(draw.path("o.tif"), world, beside, "surface", 3, PARTS.get(kind, np.asarray))}
         made = stage(TILES3D, heard, dsm=path, tiles3d=draw.path("t"), **extra)
         root = json.loads(Path(made.tileset).read_text(encoding="utf-8"))["root"]

@@ -16,6 +16,7 @@ from ..contracts.arrays import FloatArray, Mask, Window
 from ..contracts.errors import InputTableError
 from ..contracts.findings import Finding
 from ..evaluation.grids import Grid
+from ..files.vector import crosses_itself, name_crossed
 from ..geometry.frames import flat_crs
 from ..imagery.cell_polygons import inside
 from ..imagery.heights import read_heights
@@ -103,8 +104,10 @@ def height_findings(
     dsm: str, grid: Grid, shapes: Sequence[Tuple[Edit, Shape]], parameters: EditingParameters = EDITING
 ) -> List[Finding]:
     """The edits whose own heights lie far from all heights of the DSM around them, or are 0 as those of lines that
-    were drawn without heights."""
-    found = []
+    were drawn without heights; and those whose polygons cross themselves."""
+    found: List[Finding] = []
+    crossed = [str(edit.number) for edit, shape in shapes if shape.polygon is not None and crosses_itself(shape.polygon)]
+    name_crossed("Polygons of edits", crossed, found.append)
     with opened(dsm) as dataset:
         whole = Window(0, 0, *grid.size)
         for edit, shape in shapes:

@@ -6,18 +6,21 @@ import os
 import re
 from contextlib import suppress
 from pathlib import Path
-from typing import Iterable, List, Mapping, Optional, Sequence, Tuple
+from typing import Callable, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import gdal, ogr, osr
 
 from ..contracts.arrays import FloatArray
 from ..contracts.errors import InputTableError, WorkspaceError
+from ..contracts.findings import Finding
 from ..contracts.formats import GEOPACKAGE, vector_format
 from ..contracts.records import GroundShift
+from ..runtime.progress import listed
 from ..runtime.workspace import not_written, take_name, temporary_folder
 from .untrusted import VECTORS, drivers_for, refusal_of
 
+_MOST_POLYGONS = 100_000
 _MARK = "Written by REPM"  # the description of layers of ours in GeoPackages
 Features = Iterable[Tuple[ogr.Geometry, Sequence[object]]]
 """Geometries with their values, in the order of the fields; None leaves a field empty."""
@@ -82,6 +85,49 @@ def require_reference(layer: ogr.Layer, path: str) -> osr.SpatialReference:
             "processing toolbox)."
         )
     return own
+
+
+def polygons_of(
+    layer: ogr.Layer, path: str, option: str, target: osr.SpatialReference, warn: Callable[[Finding], None]
+) -> Iterator[Tuple[ogr.Feature, ogr.Geometry]]:
+    """The polygons of a layer of an option, flat and in another CRS, with their features; those that cross themselves
+    are named. Raises InputTableError for a layer without a CRS or polygons, or with too many."""
+    transformation = osr.CoordinateTransformation(require_reference(layer, path), target)
+    if layer.GetFeatureCount() > _MOST_POLYGONS:
+        raise InputTableError(
+            f"'{path}' has {layer.GetFeatureCount()} polygons, and {option} takes {_MOST_POLYGONS}: dissolve them first."
+        )
+    count, crossed = 0, []
+    for feature in layer:
+        shape = feature.GetGeometryRef()
+        if shape is None or ogr.GT_Flatten(shape.GetGeometryType()) not in (ogr.wkbPolygon, ogr.wkbMultiPolygon):
+            continue
+        shape, count = shape.Clone(), count + 1
+        shape.FlattenTo2D()
+        shape.Transform(transformation)
+        crossed += [str(count)] if crosses_itself(shape) else []
+        yield feature, shape
+    if not count:
+        raise InputTableError(f"The layer '{path}' has no polygons: {option} takes polygons.")
+    name_crossed(f"Polygons of '{path}'", crossed, warn)
+
+
+def crosses_itself(shape: ogr.Geometry) -> bool:
+    """Whether a polygon covers ground twice, or by turns to the left and the right: its area is then not what its
+    outline shows. Outlines that only touch themselves are none such."""
+    gdal.PushErrorHandler("CPLQuietErrorHandler")  # GEOS says where it crosses itself
+    try:
+        area = shape.GetArea()
+        return not shape.IsValid() and abs(shape.Buffer(0.0).GetArea() - area) > 1e-6 * area
+    finally:
+        gdal.PopErrorHandler()
+
+
+def name_crossed(what: str, numbers: Sequence[str], warn: Callable[[Finding], None]) -> None:
+    """Name the polygons with these numbers, if any, as ones that cross themselves."""
+    if numbers:
+        text = f"{what} cross themselves ({listed(numbers)}), and what they cover twice does not count"
+        warn(Finding("polygons-crossed", f"{text}: repair them (Fix geometries, in the processing toolbox)."))
 
 
 def strangers_in(path: str) -> List[str]:

@@ -2,59 +2,44 @@
 
 from __future__ import annotations
 
+from typing import Callable
+
 import numpy as np
 import pyproj
 from osgeo import gdal, ogr, osr
 
 from ..contracts.arrays import Mask
 from ..contracts.errors import ImageError, InputTableError
-from ..files.vector import file_and_layer, open_layer, require_reference
+from ..contracts.findings import Finding
+from ..files.vector import file_and_layer, open_layer, polygons_of
 from ..geometry.cell_grid import CellGrid
 from ..imagery.raster import opened
 
-_MOST_FEATURES = 100_000
-
-
-def stable_cells(path: str, grid: CellGrid, crs: str) -> Mask:
+def stable_cells(path: str, grid: CellGrid, crs: str, warn: Callable[[Finding], None] = lambda finding: None) -> Mask:
     """The (rows, columns) cells of a grid in a projected CRS whose middle is stable: in a polygon of a layer, or in a
     cell of a raster that is neither zero nor nodata.
 
-    Raises InputTableError for a layer, and ImageError for a raster, that cannot be used.
+    ``warn`` hears of polygons that cross themselves. Raises InputTableError for a layer, and ImageError for a raster, that cannot be used.
     """
     file, name = file_and_layer(path)
     source, layer = open_layer(file, name)
     if layer is None:
         return _in_raster(file, grid, crs)
-    cells = _in_polygons(path, layer, grid, crs)
+    cells = _in_polygons(path, layer, grid, crs, warn)
     del layer, source  # in this order, or OGR's objects outlive their file
     return cells
 
 
-def _in_polygons(path: str, layer: ogr.Layer, grid: CellGrid, crs: str) -> Mask:
-    own = require_reference(layer, path)
-    if layer.GetFeatureCount() > _MOST_FEATURES:
-        raise InputTableError(
-            f"'{path}' has {layer.GetFeatureCount()} polygons, and STABLE takes {_MOST_FEATURES}: dissolve them first."
-        )
+def _in_polygons(path: str, layer: ogr.Layer, grid: CellGrid, crs: str, warn: Callable[[Finding], None]) -> Mask:
     target = osr.SpatialReference()
     target.SetFromUserInput(crs)
     target.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)
-    transformation = osr.CoordinateTransformation(own, target)
     memory = ogr.GetDriverByName("Memory").CreateDataSource("stable")
     copy = memory.CreateLayer("stable", target, ogr.wkbUnknown)
-    count = 0
-    for feature in layer:
-        geometry = feature.GetGeometryRef()
-        if geometry is None or ogr.GT_Flatten(geometry.GetGeometryType()) not in (ogr.wkbPolygon, ogr.wkbMultiPolygon):
-            continue
-        geometry = geometry.Clone()
-        geometry.Transform(transformation)
+    for _, geometry in polygons_of(layer, path, "STABLE", target, warn):
         moved = ogr.Feature(copy.GetLayerDefn())
         moved.SetGeometry(geometry)
         copy.CreateFeature(moved)
-        count += 1
-    if not count:
-        raise InputTableError(f"The layer '{path}' has no polygons: STABLE takes polygons, or a raster.")
     mask = _memory_raster(grid, crs)
     gdal.RasterizeLayer(mask, [1], copy, burn_values=[1])
     return np.asarray(mask.ReadAsArray() > 0)

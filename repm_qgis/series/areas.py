@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Dict, List, Sequence
+from typing import Callable, Dict, List, Sequence
 
 import numpy as np
 from osgeo import ogr, osr
@@ -13,16 +13,16 @@ from ..change.errors import Correlation
 from ..change.volumes import Outlines, Shapes
 from ..contracts.arrays import FloatArray, FloatImage, IntArray
 from ..contracts.errors import InputTableError, OverlapError
+from ..contracts.findings import Finding
 from ..evaluation.grids import Grid
 from ..files.tables import csv_text
-from ..files.vector import file_and_layer, open_layer, require_reference, write_layer
+from ..files.vector import file_and_layer, open_layer, polygons_of, write_layer
 from ..geometry.frames import flat_crs
 from ..runtime.workspace import write_text
 from .times import DatedDsm
 from .trend import trends
 
 _NAMES = ("name", "area", "id")  # fields that name an area
-_MOST_AREAS = 100_000
 TABLE = ("area", "date", "area_m2", "known_percent", "mean_m", "volume_m3", "deviation_m3")
 """The columns of the table: one row for each area and date."""
 
@@ -30,49 +30,33 @@ TABLE = ("area", "date", "area_m2", "known_percent", "mean_m", "volume_m3", "dev
 class Areas(Shapes):
     """The polygons of a layer, in any CRS; where two overlap, a cell belongs to the later one."""
 
-    def __init__(self, path: str, grid: Grid) -> None:
-        """Raises InputTableError for a layer that cannot be used."""
+    def __init__(self, path: str, grid: Grid, warn: Callable[[Finding], None] = lambda finding: None) -> None:
+        """Raises InputTableError for a layer that cannot be used; ``warn`` hears of polygons that cross themselves."""
         super().__init__(grid)
         self.names: List[str] = []
         file, name = file_and_layer(path)
         source, layer = open_layer(file, name)
         if layer is None:
             raise InputTableError(f"The layer '{path}' of AREAS cannot be read: choose a layer of polygons.")
-        self._take(layer, require_reference(layer, path))
-        del layer, source  # in this order, or OGR's objects outlive their file
-        if not self.names:
-            raise InputTableError(f"The layer '{path}' has no polygons: AREAS takes polygons.")
-
-    def _take(self, layer: ogr.Layer, own: osr.SpatialReference) -> None:
         flat = osr.SpatialReference()
-        flat.ImportFromWkt(flat_crs(self._grid.crs).to_wkt("WKT2_2019"))
+        flat.ImportFromWkt(flat_crs(grid.crs).to_wkt("WKT2_2019"))
         flat.SetAxisMappingStrategy(osr.OAMS_TRADITIONAL_GIS_ORDER)
-        transformation = osr.CoordinateTransformation(own, flat)
-        fields = {layer.GetLayerDefn().GetFieldDefn(i).GetName().lower(): i for i in range(_fields_of(layer))}
+        definition = layer.GetLayerDefn()
+        fields = {definition.GetFieldDefn(i).GetName().lower(): i for i in range(definition.GetFieldCount())}
         named = next((fields[name] for name in _NAMES if name in fields), None)
-        for feature in layer:
-            shape = feature.GetGeometryRef()
-            kind = ogr.GT_Flatten(shape.GetGeometryType()) if shape is not None else None
-            if kind not in (ogr.wkbPolygon, ogr.wkbMultiPolygon) or len(self.names) >= _MOST_AREAS:
-                continue
-            shape = shape.Clone()
-            shape.FlattenTo2D()
-            shape.Transform(transformation)
+        for feature, shape in polygons_of(layer, path, "AREAS", flat, warn):
             moved = ogr.Feature(self._layer.GetLayerDefn())
             moved.SetField("number", len(self.names) + 1)
             moved.SetGeometry(shape)
             self._layer.CreateFeature(moved)
             text = feature.GetFieldAsString(named) if named is not None else ""
             self.names.append(text or str(len(self.names) + 1))
+        del feature, layer, source  # in this order, or OGR's objects outlive their file
 
     def outlines(self) -> List[bytes]:
         """The polygons in the grid's CRS, as WKB, in their order."""
         self._layer.SetSpatialFilter(None)
         return [bytes(feature.GetGeometryRef().ExportToWkb()) for feature in self._layer]
-
-
-def _fields_of(layer: ogr.Layer) -> int:
-    return int(layer.GetLayerDefn().GetFieldCount())
 
 
 @dataclass(frozen=True)

@@ -139,7 +139,7 @@ class _Work:
     def found(self) -> FoundSeries:
         surfaces, progress = self._surfaces, self._progress
         if self._options.areas:
-            surfaces.areas = Areas(self._options.areas, self._grid)
+            surfaces.areas = Areas(self._options.areas, self._grid, progress.warn)
         offsets = self._aligned(Part(progress, 0.0, 0.15))
         removed = self._options.align != "none"
         left = np.zeros_like(offsets) if removed else offsets

@@ -227,7 +227,7 @@ def _work(
         progress.warn(Finding("reference-copied", text))
         del found[later]
     if options.stable:
-        height[~stable_cells(options.stable, grid, scene.crs)] = np.nan
+        height[~stable_cells(options.stable, grid, scene.crs, progress.warn)] = np.nan
     surface = OwnSurface(scene.crs, grid, height).averaged(factor_for(found, finest, numbers), numbers.covered)
     laid = []
     for number, each in enumerate(found):
