@@ -83,7 +83,7 @@ class GcpParameters(Parameters):
     search_step_m: float = 2.0  # of that search; a cell, where it is wider
     search_steps: int = 16  # to each side
     least_misfit_m: float = 1.0  # median distance from the median error, from which on a place may be wrong
-    search_gain: float = 0.5  # of that distance, at most, at a better place
+    search_gain: float = 0.3  # of that distance, at most, at a better place
 
 
 @dataclass(frozen=True)

@@ -400,3 +400,41 @@ def test_what_is_no_height_is_not_set(tmp_path, value, words):
     record = edit(3, "set", box(10, 10, 50, 50), value=value)
     with pytest.raises(InputTableError, match=f"Edit 3 of .* has the value {value:g}.*{words}"):
         edited(tmp_path, written(tmp_path), record)
+
+
+@pytest.mark.parametrize(
+    ("operation", "wkt", "value", "named"),
+    (
+        ("breakline", line((20, 50, 0.0), (220, 50, 0.0)), None, "has the height 0 m, 100 m"),
+        ("breakline", line((20, 50, 101.0), (220, 50, 700.0)), None, "has the height 700 m, 59"),
+        ("breakline", line((20, 50, 110.0), (220, 50, 112.0)), None, ""),
+        ("breakline", line((20, 50), (220, 50)), None, ""),
+        ("set", box(100, 100, 110, 110), 0.0, "has the height 0 m, 101 m"),
+        ("set", box(100, 100, 110, 110), 420.0, "has the height 420 m, 31"),
+        ("set", box(100, 100, 110, 110), 120.0, ""),  # a house
+        ("flatten", box(100, 100, 110, 110), -300.0, "has the height -300 m, 40"),
+        ("flatten", box(100, 100, 110, 110), None, ""),
+    ),
+)
+def test_heights_far_from_the_ground_are_named(tmp_path, operation, wkt, value, named):
+    heard = Heard()
+    edited(tmp_path, written(tmp_path), edit(1, operation, wkt, value=value, width=4.0), progress=heard)
+    assert [each.id for each in heard.findings] == (["edit-far"] if named else [])
+    assert all(named in each and "beyond all heights of" in each for each in heard.findings)
+
+
+def test_a_line_drawn_without_heights_is_named_near_the_sea_too(tmp_path):
+    """QGIS gives new vertices a Z of 0; along a shore that is right."""
+    for level, named in ((5.0, True), (0.0, False)):
+        heard, record = Heard(), edit(1, "breakline", line((20, 50, 0.0), (220, 50, 0.0)), width=4.0)
+        edited(tmp_path, written(tmp_path, GROUND - 100 + level), record, progress=heard)
+        assert bool(heard.findings) == named
+
+
+def test_a_polygon_of_an_edit_that_crosses_itself_is_named(tmp_path):
+    heard = Heard()
+    x0, y0, x1, y1 = *place(100, 100), *place(140, 140)
+    bow = f"POLYGON(({x0} {y0}, {x1} {y1}, {x1} {y0}, {x0} {y1}, {x0} {y0}))"
+    edited(tmp_path, written(tmp_path), edit(4, "set", bow, value=101.0), progress=heard)
+    (found,) = heard.findings
+    assert found.id == "polygons-crossed" and "Polygons of edits cross themselves (4)" in found

@@ -8,7 +8,7 @@ import pytest
 from osgeo import gdal, ogr
 
 from repm_qgis.contracts.errors import WorkspaceError
-from repm_qgis.files.vector import open_vector, read_points, write_layer
+from repm_qgis.files.vector import crosses_itself, open_vector, read_points, write_layer
 
 FIELDS = {"name": str, "count": int, "height": float}
 
@@ -86,3 +86,21 @@ def test_points_with_all_their_numbers_are_read(tmp_path):
     assert read_points(path, ("count",), most=2).shape == (2, 3)
     assert read_points(path, ("absent",)).shape == read_points(str(tmp_path / "none.gpkg"), ("count",)).shape == (0, 3)
     assert open_vector(str(tmp_path / "none.gpkg")) is None
+
+
+@pytest.mark.parametrize(
+    ("wkt", "crossed"),
+    (
+        ("POLYGON((0 0, 4 0, 4 4, 0 4, 0 0))", False),
+        ("POLYGON((0 0, 4 4, 4 0, 0 4, 0 0))", True),  # half of the square
+        ("POLYGON((0 0, 9 9, 9 0, 1 3, 0 0))", True),
+        ("POLYGON((0 3, 5 3, 1 0, 2.5 5, 4 0, 0 3))", True),  # a star, with its middle twice
+        ("MULTIPOLYGON(((0 0, 4 0, 4 4, 0 4, 0 0)),((2 2, 6 2, 6 6, 2 6, 2 2)))", True),  # overlapping parts
+        ("MULTIPOLYGON(((0 0, 4 0, 4 4, 0 4, 0 0)),((4 4, 6 4, 6 6, 4 6, 4 4)))", False),
+        ("POLYGON((0 0, 4 0, 4 4, 2 4, 3 2, 2 4, 0 4, 0 0))", False),  # a spike
+        ("POLYGON((0 0, 4 0, 4 4, 2 4, 3 2, 1 2, 2 4, 0 4, 0 0))", False),  # a hole that touches its outline
+        ("POLYGON((0 0, 4 0, 4 0, 4 4, 0 4, 0 0),(1 1, 1 2, 2 2, 2 1, 1 1))", False),
+    ),
+)
+def test_polygons_that_cross_themselves_are_told_from_those_that_touch(wkt, crossed):
+    assert crosses_itself(ogr.CreateGeometryFromWkt(wkt)) == crossed

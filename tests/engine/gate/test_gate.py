@@ -145,6 +145,34 @@ def test_a_terrain_that_lies_two_or_three_metres_off_is_named(dsm, tmp_path, off
     assert terrain_findings(dsm, written(tmp_path / "near.tif", ground - off / 4 * ramp)) == []
 
 
+@pytest.mark.parametrize(
+    "changed",
+    (
+        lambda heights: np.full(heights.shape, np.median(heights)),
+        lambda heights: np.flipud(heights),
+        lambda heights: np.fliplr(heights),
+        lambda heights: 2 * heights - np.median(heights),
+        lambda heights: np.roll(heights, (70, 50), (0, 1)),
+    ),
+    ids=("constant", "upside down", "mirrored", "doubled", "elsewhere"),
+)
+@pytest.mark.parametrize("relief", (1.5, 4.0))
+def test_a_terrain_of_another_relief_is_named(tmp_path, changed, relief):
+    """Houses on hills, above terrains of the right height: buildings had six times their area, under "Good."."""
+    y, x = np.mgrid[:SIDE, :SIDE] * CELL
+    hills = relief * (np.sin(x / 17.0 + 1.0) * np.cos(y / 23.0) + 0.4 * np.sin(x / 7.0 - y / 9.0))
+    houses = surface() - surface(houses=False)
+    dsm = written(tmp_path / "dsm.tif", 100.0 + hills + houses + 0.05 * np.random.default_rng(1).normal(size=x.shape))
+    assert terrain_findings(dsm, written(tmp_path / "own.tif", 100.0 + hills)) == []
+    found = terrain_findings(dsm, written(tmp_path / "other.tif", 100.0 + changed(hills)))
+    assert found and {(each.id, each.level) for each in found} <= {("terrain-relief", "doubt"), ("terrain-off", "doubt")}
+
+
+def test_a_constant_terrain_is_right_where_the_ground_is_level(tmp_path):
+    houses = surface() - surface(houses=False) + np.random.default_rng(1).normal(0, 0.3, (SIDE, SIDE))
+    assert terrain_findings(written(tmp_path / "dsm.tif", 20 + houses), written(tmp_path / "t.tif", 20 + 0 * houses)) == []
+
+
 def test_ground_between_crowns_tells_where_the_terrain_is(tmp_path):
     """Trees on four fifths of the ground, and a hall wider than the opening, are no ground."""
     heights, bare = surface(houses=False), surface(1, houses=False)

@@ -115,6 +115,27 @@ def test_offsets_are_solved_and_seams_are_below_a_decimetre(made):
     assert sum("m are added" in text for text in said.notes) == 4 and not said.warnings
 
 
+@pytest.mark.parametrize(
+    ("second", "named", "size"),
+    (
+        (lambda x, y: ground(x, y) + 0.03 * (x - WEST), "overlap-tilted", 0.03 * 80),
+        (lambda x, y: ground(x, y) - 0.02 * (NORTH - y), "overlap-tilted", 0.02 * SIDE),
+        (lambda x, y: 200.0 + 0.05 * (x - WEST) - 0.02 * (NORTH - y), "overlap-bare", 0),
+        (lambda x, y: ground(x, y) + 0.002 * (x - WEST), "", 0),
+        (lambda x, y: ground(x, y) + 6.0 * ((abs(x - WEST - 126) < 6) & (abs(NORTH - y - 6) < 6)), "", 0),
+    ),
+    ids=("tilted east", "tilted north", "terrain", "hardly tilted", "new house"),
+)
+def test_a_tilted_dsm_and_a_terrain_are_named(tmp_path, told, second, named, size):
+    """The far end of a tilted DSM was 7 m off, and half of a town had no houses, under "Good."."""
+    dsms = [write(tmp_path / "a.tif", (0, 0), SIDE), write(tmp_path / "b.tif", (110, 0), SIDE, second)]
+    said = told()
+    mosaic(told, tmp_path, dsms, said, report=str(tmp_path / "r.html"))
+    assert [each.id for each in said.warnings if each.id.startswith("overlap")] == ([named] if named else [])
+    if size:
+        assert abs(float(re.search(r"by ([\d.]+) m over their overlap", said.warnings[0])[1]) - size) < 0.1 * size
+
+
 def test_products_say_where_heights_come_from(made, four):
     result, _ = made
     heights = read(result.output)

@@ -227,6 +227,20 @@ def test_volumes_over_time_are_within_their_errors(dates, tmp_path, told):
     assert result.areas == 2 and result.volume_m3 == pytest.approx(found[0]["volume_m3"])
 
 
+def test_an_area_that_crosses_itself_is_named(dates, tmp_path, told):
+    """It has half of the square's volume."""
+    areas = polygons(tmp_path / "areas.geojson", {"a": (PLACE[0] + 20, PLACE[1] - 80, PLACE[0] + 70, PLACE[1] - 30)})
+    document = json.loads((tmp_path / "areas.geojson").read_text(encoding="utf-8"))
+    ring = document["features"][0]["geometry"]["coordinates"][0]
+    for crossed in (False, True):
+        if crossed:
+            ring[1], ring[2] = ring[2], ring[1]
+            (tmp_path / "areas.geojson").write_text(json.dumps(document), encoding="utf-8")
+        said = told()
+        run(dates, tmp_path, lambda: said, areas=areas)
+        assert [each.id for each in said.warnings if "areas.geojson" in each] == ["polygons-crossed"] * crossed
+
+
 def test_without_areas_the_changes_are_outlined(whole):
     folder, result = whole
     source = ogr.Open(str(folder / "v.gpkg"))

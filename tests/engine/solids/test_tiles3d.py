@@ -269,11 +269,15 @@ def test_cesium_draws_all_levels(made, tmp_path):
 
 def test_an_orthophoto_of_another_place_is_refused_and_a_part_is_named(tmp_path, told):
     dsm = write(tmp_path / "dsm.tif", town())
-    for name, east, raised in (("beside", 400.0, True), ("half", 150.0, False)):
+    for name, east, raised in (("beside", 400.0, True), ("half", 150.0, False), ("holes", 0.0, False)):
         ortho = str(tmp_path / f"{name}.tif")
         raster = gdal.GetDriverByName("GTiff").Create(ortho, COLUMNS, ROWS, 3, gdal.GDT_Byte)
         raster.SetGeoTransform((WEST + east, CELL, 0, NORTH, 0, -CELL))
         raster.SetProjection(gdal.Open(dsm).GetProjection())
+        if name == "holes":
+            for band in (1, 2, 3):
+                raster.GetRasterBand(band).SetNoDataValue(0)
+                raster.GetRasterBand(band).WriteArray(np.full((ROWS, COLUMNS // 2), 99, np.uint8))
         raster = None
         said, options = told(), {"dsm": dsm, "ortho": ortho, "tiles3d": str(tmp_path / name)}
         if raised:

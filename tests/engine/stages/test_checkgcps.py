@@ -241,6 +241,45 @@ def test_the_true_dsm_has_no_error_and_a_raised_one_its_own(urban, exact, tmp_pa
     assert (result.dsm_medae, result.dsm_rmse, result.dsm_max) == pytest.approx((1.25,) * 3, abs=0.001)
 
 
+@pytest.mark.parametrize(
+    ("changed_points", "named", "by"),
+    (
+        (lambda p: p + [9.0 / 111320 / np.cos(np.radians(p[:, 1].mean())), 0.0, 0.0], "points-displaced", 9.0),
+        (lambda p: p - [0.0, 26.0 / 111320, 0.0], "points-displaced", 26.0),
+        (lambda p: np.column_stack([p[:, :2], np.random.default_rng(5).permutation(p[:, 2])]), "points-relief", 0),
+        (lambda p: np.column_stack([p[:, :2], np.full(len(p), np.median(p[:, 2]))]), "points-relief", 0),
+        (lambda p: p + np.random.default_rng(6).normal(0, 0.5, (len(p), 1)) * [0, 0, 1], "", 0),
+        (lambda p: p + 9.0 * (np.arange(len(p)) == 4)[:, None] * [0, 0, 1], "", 0),  # one wrong point of 24
+        (lambda p: p + 19.0 * (np.arange(len(p)) == 4)[:, None] * [0, 0, 1], "points-spread", 0),
+    ),
+    ids=("9 m east", "26 m south", "other order", "one height", "noise", "one wrong", "one very wrong"),
+)
+def test_points_that_say_nothing_of_the_dsm_are_named(urban, tmp_path, told, changed_points, named, by):
+    """Errors of 5 to 20 m were "Good."; hills of a formula below 24 points."""
+    x, cell, _, y, _, _ = urban.transform
+    rows, cols = np.indices(urban.surface.shape)
+
+    def hills(col, row):
+        return 200 + 6 * np.sin(cell * col / 17) * np.cos(cell * row / 23) + 3 * np.sin(cell * (col + row) / 9)
+
+    dsm = changed(urban.truth, tmp_path / "hills.tif", lambda heights: hills(cols, rows))
+    col, row = (np.random.default_rng(2).uniform(80, n - 80, 24) for n in urban.surface.shape[::-1])
+    lon_lat = geodetic_from_projected(urban.crs, np.column_stack([x + (col + 0.5) * cell, y - (row + 0.5) * cell]))
+    points = np.column_stack([lon_lat, hills(col, row)])
+    said = told()
+    path = written(tmp_path / "g.csv", urban, changed_points(points), views=0)
+    run_stage("checkgcps", {"gcps": path, "dsm": dsm}, said)
+    assert [each.id for each in said.warnings][:1] == ([named] if named else [])
+    if by:
+        assert float(said.warnings[0].split("better ")[1].split(" m")[0]) == pytest.approx(by, abs=2)
+
+
+def test_a_constant_dsm_says_nothing_of_points(urban, exact, tmp_path, told):
+    said, middle = told(), float(np.median(urban.surface))
+    run_stage("checkgcps", {"gcps": exact, "dsm": changed(urban.truth, tmp_path / "c.tif", lambda h: 0 * h + middle)}, said)
+    assert "points-relief" in [each.id for each in said.warnings]
+
+
 def test_heights_between_cells_are_bilinear(urban, points, tmp_path, told):
     """On a tilted plane, points anywhere in the cells."""
     x, cell, _, y, _, _ = urban.transform
