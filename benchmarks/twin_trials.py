@@ -246,7 +246,21 @@ def series(draw: Draw) -> Trial:
     box = (-25.0, -25.0, 25.0, 25.0)
     rate = float(rng.uniform(0.8, 2.0))
     form = draw.form(sigma=0.1, scaled=False)
-    kinds = "", "", "", "errors", "raster", "copy", "reversed", "year", "offset", "beside", "half", "centimetres", "crossed"
+    kinds = (
+        "",
+        "",
+        "",
+        "errors",
+        "raster",
+        "copy",
+        "reversed",
+        "year",
+        "offset",
+        "beside",
+        "half",
+        "centimetres",
+        "crossed",
+    )
     kind, fault, change_it = draw.kind(*kinds), "", None
     if kind == "raster":
         fault, change_it = draw.any_fault()
@@ -348,8 +362,8 @@ def mosaic(draw: Draw) -> Trial:
             ]
         made = stage(MOSAIC, heard, dsms=[one, other], confidences=errors, **target)
         above = undulation(world.lon, world.lat) if left.datum == "EGM96" else 0.0
-        wrong = "the second DSM's houses are missing" if kind == "bare" else ""
-        return wrong or _heights_right(str(made.output), world, above, 0.25)
+        missing = "the second DSM's houses are missing" if kind == "bare" else ""
+        return missing or _heights_right(str(made.output), world, above, 0.25)
 
     return Trial(fault or "sound", not fault, run)
 

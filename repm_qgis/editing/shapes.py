@@ -101,13 +101,15 @@ def shapes_of(edits: Edits, grid: Grid, cell: float) -> List[Tuple[Edit, Shape]]
 
 
 def height_findings(
-    dsm: str, grid: Grid, shapes: Sequence[Tuple[Edit, Shape]], parameters: EditingParameters = EDITING
+    dsm: str, edits: Edits, grid: Grid, shapes: Sequence[Tuple[Edit, Shape]], parameters: EditingParameters = EDITING
 ) -> List[Finding]:
     """The edits whose own heights lie far from all heights of the DSM around them, or are 0 as those of lines that
     were drawn without heights; and those whose polygons cross themselves."""
     found: List[Finding] = []
-    crossed = [str(edit.number) for edit, shape in shapes if shape.polygon is not None and crosses_itself(shape.polygon)]
-    name_crossed("Polygons of edits", crossed, found.append)
+    crossed = [
+        str(edit.number) for edit, shape in shapes if shape.polygon is not None and crosses_itself(shape.polygon)
+    ]
+    name_crossed(edits.path, crossed, found.append)
     with opened(dsm) as dataset:
         whole = Window(0, 0, *grid.size)
         for edit, shape in shapes:
@@ -124,9 +126,11 @@ def height_findings(
             away = np.maximum(around.min() - values, values - around.max()) if around.size else np.zeros(1)
             worst = int(away.argmax())
             if away[worst] > (parameters.drawn_m if len(values) > 1 and not values.any() else parameters.far_m):
-                text = f"Edit {edit.number} has the height {values[worst]:g} m, {away[worst]:.0f} m beyond all heights"
-                text = f"{text} of '{dsm}' around it: check its value, or the Z of its vertices"
-                found.append(Finding("edit-far", f"{text} and their vertical datum.", "doubt"))
+                text = (
+                    f"Edit {edit.number} has the height {values[worst]:g} m, {away[worst]:.0f} m beyond all heights of "
+                    f"'{dsm}' around it: check its value, or the heights of its vertices and their datum."
+                )
+                found.append(Finding("edit-far", text, "doubt"))
     return found
 
 

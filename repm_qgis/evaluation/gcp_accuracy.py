@@ -220,7 +220,7 @@ def _displaced(
     if misfit[reach, reach] < parameters.least_misfit_m or misfit[best] > parameters.search_gain * misfit[reach, reach]:
         return []
     by = step * float(np.hypot(*(np.array(best) - reach)))
-    text = f"The points of '{points}' fit to the DSM much better {by:.0f} m beside their place"
+    text = f"The points of '{points}' fit to the DSM better {by:.1f} m beside their place"
     return [Finding("points-displaced", f"{text}: check the CRS and the place of both.", "doubt")]
 
 

@@ -95,7 +95,8 @@ def polygons_of(
     transformation = osr.CoordinateTransformation(require_reference(layer, path), target)
     if layer.GetFeatureCount() > _MOST_POLYGONS:
         raise InputTableError(
-            f"'{path}' has {layer.GetFeatureCount()} polygons, and {option} takes {_MOST_POLYGONS}: dissolve them first."
+            f"'{path}' has {layer.GetFeatureCount()} polygons, and {option} takes {_MOST_POLYGONS}: dissolve them "
+            "first."
         )
     count, crossed = 0, []
     for feature in layer:
@@ -109,7 +110,7 @@ def polygons_of(
         yield feature, shape
     if not count:
         raise InputTableError(f"The layer '{path}' has no polygons: {option} takes polygons.")
-    name_crossed(f"Polygons of '{path}'", crossed, warn)
+    name_crossed(path, crossed, warn)
 
 
 def crosses_itself(shape: ogr.Geometry) -> bool:
@@ -123,11 +124,14 @@ def crosses_itself(shape: ogr.Geometry) -> bool:
         gdal.PopErrorHandler()
 
 
-def name_crossed(what: str, numbers: Sequence[str], warn: Callable[[Finding], None]) -> None:
-    """Name the polygons with these numbers, if any, as ones that cross themselves."""
+def name_crossed(path: str, numbers: Sequence[str], warn: Callable[[Finding], None]) -> None:
+    """Name the polygons of a file with these numbers, if any, as ones that cross themselves."""
     if numbers:
-        text = f"{what} cross themselves ({listed(numbers)}), and what they cover twice does not count"
-        warn(Finding("polygons-crossed", f"{text}: repair them (Fix geometries, in the processing toolbox)."))
+        text = (
+            f"Polygons of '{path}' cross themselves ({listed(numbers)}), and what they cover twice does not count: "
+            "repair them (Fix geometries, in the processing toolbox)."
+        )
+        warn(Finding("polygons-crossed", text))
 
 
 def strangers_in(path: str) -> List[str]:

@@ -49,12 +49,13 @@ def open_ground(
     return OpenGround(own[shown > 0], whole[shown > 0], _offsets(x, y, whole, smooth > 0, parameters))
 
 
-def _smooth(heights: FloatImage, cell: Tuple[float, float], parameters: GateParameters) -> Tuple[FloatArray, Mask, int]:
+def _smooth(heights: FloatImage, cell: Tuple[float, float], parameters: GateParameters) -> Tuple[FloatImage, Mask, int]:
     """Means of heights over blocks of so many cells, and which of these are ground."""
     coarse, low, factor = opened_surface(heights, cell, parameters)
     with np.errstate(invalid="ignore"):
         steep = np.hypot(*np.gradient(coarse, factor * abs(cell[0]))) if min(coarse.shape) > 1 else np.inf
-        return coarse, (coarse - low < parameters.open_near_m) & (steep < parameters.open_gradient), factor
+        ground: Mask = (coarse - low < parameters.open_near_m) & (steep < parameters.open_gradient)
+    return coarse, ground, factor
 
 
 def _offsets(

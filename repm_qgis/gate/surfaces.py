@@ -67,8 +67,11 @@ def overlap_findings(
     plane = open_ground([first for first, _ in patches], differences, windows, cell, parameters).offsets
     tilt = 0.0 if plane is None else float(np.ptp(np.percentile(plane, (2.0, 98.0))))
     if tilt > max(parameters.most_tilt_m, parameters.most_tilt_cells * max(cell)):
-        text = f"{names[1]} is tilted against {names[0]}: by {tilt:.1f} m over their overlap, and by more beyond it"
-        found.append(Finding("overlap-tilted", f"{text}. Register both (repm:register), or leave one out.", "doubt"))
+        text = (
+            f"{names[1]} is tilted against {names[0]}, by {tilt:.1f} m over their overlap and by more beyond it: "
+            "register both (repm:register), or leave one out."
+        )
+        found.append(Finding("overlap-tilted", text, "doubt"))
     raised, narrow = [], replace(parameters, open_width_m=parameters.object_width_m)
     for patch in patches:
         coarse, low = zip(*(opened_surface(heights, cell, narrow)[:2] for heights in patch))
@@ -80,7 +83,9 @@ def overlap_findings(
         gone = float(np.mean(other[stands] < own[stands] / 2)) if stands.any() else 0.0
         least = max(parameters.object_m2 / abs(cell[0] * cell[1]), parameters.object_share * stands.size)
         if stands.sum() >= least and gone > parameters.most_gone:
-            text = f"{as_percent(gone)} of what stands more than {parameters.object_m:g} m high in {name} is missing in"
-            text = f"{text} {bare}, which may be a terrain"
-            found.append(Finding("overlap-bare", f"{text}: give DSMs, or leave it out.", "doubt"))
+            text = (
+                f"{as_percent(gone)} of what stands more than {parameters.object_m:g} m high in {name} is missing in "
+                f"{bare}, which may be a terrain: give DSMs only."
+            )
+            found.append(Finding("overlap-bare", text, "doubt"))
     return found

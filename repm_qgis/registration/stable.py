@@ -9,17 +9,19 @@ import pyproj
 from osgeo import gdal, ogr, osr
 
 from ..contracts.arrays import Mask
-from ..contracts.errors import ImageError, InputTableError
+from ..contracts.errors import ImageError
 from ..contracts.findings import Finding
 from ..files.vector import file_and_layer, open_layer, polygons_of
 from ..geometry.cell_grid import CellGrid
 from ..imagery.raster import opened
 
+
 def stable_cells(path: str, grid: CellGrid, crs: str, warn: Callable[[Finding], None] = lambda finding: None) -> Mask:
     """The (rows, columns) cells of a grid in a projected CRS whose middle is stable: in a polygon of a layer, or in a
     cell of a raster that is neither zero nor nodata.
 
-    ``warn`` hears of polygons that cross themselves. Raises InputTableError for a layer, and ImageError for a raster, that cannot be used.
+    ``warn`` hears of polygons that cross themselves. Raises InputTableError for a layer, and ImageError for a raster,
+    that cannot be used.
     """
     file, name = file_and_layer(path)
     source, layer = open_layer(file, name)

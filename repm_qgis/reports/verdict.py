@@ -209,10 +209,10 @@ def _spread_of_points(found: GcpAccuracy, up: FloatArray, known: Mask, bounds: V
         left, relief = half_spread(up[known]), max(half_spread(own), half_spread(own - up[known]))
         if left > max(bounds.most_points_left_m, found.cell_m, bounds.most_points_unexplained * relief):
             text = (
-                f"The heights of the points do not vary with the DSM's: these and the points' spread by {relief:.1f} m "
-                f"at most, and their differences by {left:.1f} m"
+                f"The heights of the points do not vary with the DSM's: both spread by {relief:.1f} m at most, and "
+                f"their differences by {left:.1f} m. Check that both show the same place, and their units."
             )
-            return [Finding("points-relief", f"{text}: check that both show the same place, and their units.", "doubt")]
+            return [Finding("points-relief", text, "doubt")]
     away, most = np.abs(up - np.median(up[known])), max(bounds.most_points_m, found.cell_m)
     rms = float(np.sqrt(np.mean(away[known] ** 2)))
     if rms <= most:
@@ -220,9 +220,10 @@ def _spread_of_points(found: GcpAccuracy, up: FloatArray, known: Mask, bounds: V
     worst = [gcp.id for gcp, yes in zip(found.gcps, found.rows()) if yes][int(np.nanargmax(away))]
     text = (
         f"The errors of the DSM's heights at the points spread by {rms:.1f} m (RMS about their median; usual: at most "
-        f"{most:.3g} m), most at {worst} ({np.nanmax(away):.1f} m): check the places of the points"
+        f"{most:.3g} m), most at {worst} ({np.nanmax(away):.1f} m): check the places of the points, and that they lie "
+        "on open ground."
     )
-    return [Finding("points-spread", f"{text}, and that they lie on open ground.", "doubt")]
+    return [Finding("points-spread", text, "doubt")]
 
 
 class Difference(NamedTuple):

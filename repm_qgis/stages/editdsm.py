@@ -51,7 +51,7 @@ def run(options: EditDsmOptions, progress: Progress, parameters: EditingParamete
     grid = Grid(options.dsm, surface.size, surface.transform, surface.crs)
     edits = read_edits(options.edits)
     shapes = shapes_of(edits, grid, surface.cell)
-    warn_all(progress, height_findings(options.dsm, grid, shapes, parameters))
+    warn_all(progress, height_findings(options.dsm, edits, grid, shapes, parameters))
     named = _confidence(options)
     if not shapes:
         text = f"No edit of '{options.edits}' is enabled, so the DSM stays as it is: set the field 'enabled' to 1."

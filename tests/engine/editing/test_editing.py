@@ -437,4 +437,4 @@ def test_a_polygon_of_an_edit_that_crosses_itself_is_named(tmp_path):
     bow = f"POLYGON(({x0} {y0}, {x1} {y1}, {x1} {y0}, {x0} {y1}, {x0} {y0}))"
     edited(tmp_path, written(tmp_path), edit(4, "set", bow, value=101.0), progress=heard)
     (found,) = heard.findings
-    assert found.id == "polygons-crossed" and "Polygons of edits cross themselves (4)" in found
+    assert found.id == "polygons-crossed" and "edited.gpkg' cross themselves (4)" in found

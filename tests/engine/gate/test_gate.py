@@ -165,12 +165,16 @@ def test_a_terrain_of_another_relief_is_named(tmp_path, changed, relief):
     dsm = written(tmp_path / "dsm.tif", 100.0 + hills + houses + 0.05 * np.random.default_rng(1).normal(size=x.shape))
     assert terrain_findings(dsm, written(tmp_path / "own.tif", 100.0 + hills)) == []
     found = terrain_findings(dsm, written(tmp_path / "other.tif", 100.0 + changed(hills)))
-    assert found and {(each.id, each.level) for each in found} <= {("terrain-relief", "doubt"), ("terrain-off", "doubt")}
+    assert found and {(each.id, each.level) for each in found} <= {
+        ("terrain-relief", "doubt"),
+        ("terrain-off", "doubt"),
+    }
 
 
 def test_a_constant_terrain_is_right_where_the_ground_is_level(tmp_path):
     houses = surface() - surface(houses=False) + np.random.default_rng(1).normal(0, 0.3, (SIDE, SIDE))
-    assert terrain_findings(written(tmp_path / "dsm.tif", 20 + houses), written(tmp_path / "t.tif", 20 + 0 * houses)) == []
+    level = written(tmp_path / "level.tif", np.full((SIDE, SIDE), 20.0))
+    assert terrain_findings(written(tmp_path / "dsm.tif", 20 + houses), level) == []
 
 
 def test_ground_between_crowns_tells_where_the_terrain_is(tmp_path):

@@ -237,7 +237,7 @@ def test_an_area_that_crosses_itself_is_named(dates, tmp_path, told):
             ring[1], ring[2] = ring[2], ring[1]
             (tmp_path / "areas.geojson").write_text(json.dumps(document), encoding="utf-8")
         said = told()
-        run(dates, tmp_path, lambda: said, areas=areas)
+        run_stage("series", {"output": str(tmp_path / "s.tif"), "dsms": dates, "areas": areas}, said)
         assert [each.id for each in said.warnings if "areas.geojson" in each] == ["polygons-crossed"] * crossed
 
 

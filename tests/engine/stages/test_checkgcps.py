@@ -276,7 +276,8 @@ def test_points_that_say_nothing_of_the_dsm_are_named(urban, tmp_path, told, cha
 
 def test_a_constant_dsm_says_nothing_of_points(urban, exact, tmp_path, told):
     said, middle = told(), float(np.median(urban.surface))
-    run_stage("checkgcps", {"gcps": exact, "dsm": changed(urban.truth, tmp_path / "c.tif", lambda h: 0 * h + middle)}, said)
+    level = changed(urban.truth, tmp_path / "level.tif", lambda heights: 0 * heights + middle)
+    run_stage("checkgcps", {"gcps": exact, "dsm": level}, said)
     assert "points-relief" in [each.id for each in said.warnings]
 
 
