@@ -64,7 +64,8 @@ def overlap_findings(
     """
     found = []
     differences = [first - second for first, second in patches]
-    plane = open_ground([first for first, _ in patches], differences, windows, cell, parameters).offsets
+    every = replace(parameters, open_near_m=np.inf, open_gradient=np.inf)  # no ground, but all that is alike
+    plane = open_ground([first for first, _ in patches], differences, windows, cell, every).offsets
     tilt = 0.0 if plane is None else float(np.ptp(np.percentile(plane, (2.0, 98.0))))
     if tilt > max(parameters.most_tilt_m, parameters.most_tilt_cells * max(cell)):
         text = (
