@@ -78,7 +78,9 @@ def measure_pair(task: PairTask) -> Optional[Overlap]:
     found, plan = heights[0] - heights[1], task.parameters
     cell = max(cell_metres(task.target)) / min(1.0, *(dsm.ratio for dsm in task.dsms))  # of the coarser DSM
     left = max(plan.most_left_m, plan.most_left_cells * cell)
-    relief = replace(REGISTRATION, most_left_m=left, unexplained=plan.unexplained)
+    relief = replace(
+        REGISTRATION, most_left_m=left, unexplained=plan.unexplained, most_alike_scaled=plan.most_alike_scaled
+    )
     if found.size < task.parameters.least_cells:
         return None
     seen = sum(window.width * window.height for window in windows)
