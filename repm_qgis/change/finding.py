@@ -20,7 +20,8 @@ from ..evaluation.comparison import Thumbnails
 from ..evaluation.coregistration import Alignment
 from ..evaluation.grids import Grid
 from ..files.vector import write_layer
-from ..gate.places import displaced_finding, known_m2, partial_finding
+from ..gate.places import known_m2, partial_finding
+from ..gate.reliefs import date_findings
 from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.frames import flat_crs
 from ..imagery import raster
@@ -143,6 +144,7 @@ class _Work:
         changes = self._volumes(model, correlation, offset, Part(progress, 0.75, 0.9))
         largest = max(map(known_m2, (self._options.before, self._options.after)))
         shared = min(self._compared * surfaces.cell_m2 / largest, 1.0)
+        drawn, side = self._thumbnails.pictures, self._cell_m * self._thumbnails.factor
         return Found(
             self._grid,
             surfaces.cell_m2,
@@ -155,12 +157,14 @@ class _Work:
             offset,
             level,
             self._histogram,
-            self._thumbnails.pictures,
-            self._cell_m * self._thumbnails.factor,
+            drawn,
+            side,
             shared,
             [
                 *surfaces.warnings,
-                *displaced_finding(self._options.after, self._options.before, beside),
+                *date_findings(
+                    self._options.after, self._options.before, (drawn["after"], drawn["before"]), side, beside
+                ),
                 *partial_finding(shared, (self._options.before, self._options.after)),
             ],
         )

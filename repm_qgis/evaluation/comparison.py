@@ -154,9 +154,9 @@ class Thumbnails:
     """Small pictures of large rasters that are processed in blocks: ``pictures`` by their names, each (rows, columns)
     means of ``factor``² cells, NaN = none. The factor is a power of two, and so must the blocks' side be."""
 
-    def __init__(self, size: Size, names: Sequence[str]) -> None:
+    def __init__(self, size: Size, names: Sequence[str], most_px: int = _THUMBNAIL_PX) -> None:
         columns, rows = size
-        self.factor = 1 << max(0, math.ceil(math.log2(max(columns, rows) / _THUMBNAIL_PX)))
+        self.factor = 1 << max(0, math.ceil(math.log2(max(columns, rows) / most_px)))
         shape = (-(-rows // self.factor), -(-columns // self.factor))
         self.pictures = {name: np.full(shape, np.nan, np.float32) for name in names}
 

@@ -1,7 +1,8 @@
 """Whether a class raster belongs to the reference whose heights it names.
 
 What stands on the ground has classes of its own, so the heights within a class vary least where the raster lies at its
-place. Heights within districts vary as much wherever these lie: such rasters have no finding.
+place. Heights within districts vary as much wherever these lie: such rasters have no finding. Classes as narrow as
+houses that explain nothing of the heights of a town are those of another one, or are flipped.
 """
 
 from __future__ import annotations
@@ -29,16 +30,18 @@ def class_findings(
     """What is to be known of a class raster that is used with a reference: how many of its heights it covers, and
     whether it lies at its place.
 
-    Raises OverlapError where it lies elsewhere, ImageError for one that cannot be used.
+    Raises OverlapError where it has no class at any height, ImageError for one that cannot be used.
     """
     grid, path = Grid.of(reference), classes.GetDescription()
     source, cell = ClassRaster(classes, grid), cell_metres(grid)
-    known = covered = 0
+    known = covered = classed = 0
     misfits: FloatArray = np.zeros(1)
-    factor = 1
-    for window in sample_windows(grid, grid.bounds, EVALUATION.comparison):
+    factor, narrow, raised = 1, False, 0.0
+    windows = sample_windows(grid, grid.bounds, EVALUATION.comparison)
+    for window in windows:
         heights = read_heights(reference, window)
         kinds, inside = source.read(grid.window(window))
+        classed += int((np.isfinite(heights) & np.isfinite(kinds)).sum())
         kinds[inside & np.isnan(kinds)] = np.inf  # a mask's rest is a class, too
         has = np.isfinite(heights)
         known, covered = known + int(has.sum()), covered + int((has & inside).sum())
@@ -46,10 +49,13 @@ def class_findings(
         rows, columns = (
             np.minimum(np.arange(n) * factor + factor // 2, m - 1) for n, m in zip(coarse.shape, has.shape)
         )
-        misfits = misfits + _misfits(kinds[np.ix_(rows, columns)], coarse - low, abs(cell[0]) * factor, parameters)
-    if known and not covered:
+        there, above, side = kinds[np.ix_(rows, columns)], coarse - low, abs(cell[0]) * factor
+        misfits = misfits + _misfits(there, above, side, parameters) / len(windows)
+        narrow |= _has_narrow(there, side, parameters)
+        raised += float(np.mean(above[np.isfinite(above)] > parameters.open_near_m)) / len(windows)
+    if known and not classed:
         raise OverlapError(
-            f"The class raster '{path}' covers no height of '{grid.path}': choose the one of the same place."
+            f"The class raster '{path}' has no class at any height of '{grid.path}': choose the one of the same place."
         )
     if covered < (1.0 - parameters.most_uncovered) * known:
         text = f"The class raster '{path}' covers {as_percent(covered / known)} of the heights of '{grid.path}'"
@@ -60,9 +66,25 @@ def class_findings(
     by = float(np.hypot(steps[0] * cell[1], steps[1] * cell[0])) * factor
     most = min(parameters.displaced_gain * misfits.flat[0], parameters.most_unexplained)
     if by <= max(parameters.most_displaced_m, parameters.most_displaced_cells * side) or misfits[place] >= most:
-        return ()
+        if not narrow or raised < parameters.least_raised or misfits.flat[0] < parameters.nothing_explained:
+            return ()
+        text = f"The classes of '{path}' are as narrow as houses, and explain nothing of the heights of '{grid.path}'"
+        return (Finding("classes-other", f"{text}: check that they are of this place, and not flipped.", "doubt"),)
     text = f"The classes of '{path}' fit to the heights of '{grid.path}' better {by:.1f} m beside their place"
     return (Finding("classes-displaced", f"{text}: check the CRS and the place of both.", "doubt"),)
+
+
+def _has_narrow(kinds: FloatArray, side_m: float, parameters: GateParameters) -> bool:
+    """Whether a class (rows, columns; cells of this side, m) has hardly a part as wide as a large house."""
+    from scipy import ndimage  # QGIS's own process may lack it
+
+    width = 2 * max(1, round(parameters.narrow_m / 2 / side_m)) + 1
+    for kind in np.unique(kinds[~np.isnan(kinds)]):
+        inside = kinds == kind
+        wide = ndimage.grey_opening(inside.astype(np.uint8), size=(width, width)).sum()
+        if inside.mean() >= parameters.least_class and wide <= parameters.most_wide * inside.sum():
+            return True
+    return False
 
 
 def _misfits(kinds: FloatArray, above: FloatArray, side_m: float, parameters: GateParameters) -> FloatArray:

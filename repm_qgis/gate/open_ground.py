@@ -67,15 +67,21 @@ def _offsets(
     every = np.column_stack([x - x.mean(), y - y.mean(), np.ones(x.size)])
     every[:, :2] /= max(float(np.ptp(x)), float(np.ptp(y)), 1.0)
     design, height = every[ground], whole[ground]
-    plane = np.array([0.0, 0.0, _lowest(height, parameters.open_mode_share)])
+    plane = robust_plane(design, height, _lowest(height, parameters.open_mode_share), parameters)
+    below = np.mean(whole < every @ plane - parameters.open_near_m)
+    return np.asarray(design @ plane) if 100.0 * below < parameters.ground_percent else None
+
+
+def robust_plane(design: FloatArray, height: FloatArray, start: float, parameters: GateParameters = GATE) -> FloatArray:
+    """(3,) the plane through heights (N,) at (N, 3) places with a 1, by Tukey's weights, from level ground on."""
+    plane = np.array([0.0, 0.0, start])
     for _ in range(_ROUNDS):
         away = height - design @ plane
         weight = tukey(away / (parameters.open_tukey * max(nmad(away), parameters.open_least_m)))
         weighted = design * weight[:, None]
         normal = weighted.T @ design + np.diag([1e-6, 1e-6, 1e-9]) * max(float(weight.sum()), 1.0)
         plane = np.linalg.solve(normal, weighted.T @ height)
-    below = np.mean(whole < every @ plane - parameters.open_near_m)
-    return np.asarray(design @ plane) if 100.0 * below < parameters.ground_percent else None
+    return plane
 
 
 def opened_surface(

@@ -51,10 +51,21 @@ class GateParameters(Parameters):
     most_displaced_m: float = 2.0  # between a terrain and a DSM; and so many cells
     most_displaced_cells: float = 2.0
     displaced_gain: float = 0.8  # of the misfit, at most, after the shift; otherwise it explains nothing
+    most_tilted_m: float = 1.0  # of the differences of two surfaces over their ground: real pairs have up to 0.3; and
+    most_tilted_nmads: float = 2.0  # so many NMADs about the plane
+    least_relief_m: float = 0.5  # misfit to what another surface shows elsewhere: less is no question of the place; and
+    relief_noises: float = 4.0  # so many times the noise, by second differences over
+    noise_lag_m: float = 8.0
+    least_far_m: float = 1.0  # of a difference of two dates from the usual one; and
+    far_spreads: float = 5.0  # so many standard deviations of it: real pairs have 1 to 20 % of such cells
     class_search_m: float = 60.0  # around a class raster's place, where it is looked for; at most a quarter of its side
     most_unexplained: float = 0.6  # of the variance of heights by classes, at the best place: districts have 0.7 to 1
     class_height_m: float = 10.0  # above the open ground, from which on heights are alike
     least_class: float = 0.01  # share of the cells of a class that counts there
+    narrow_m: float = 30.0  # of a class whose parts are houses, roads or crowns
+    most_wide: float = 0.2  # of its cells that are in wider parts
+    least_raised: float = 0.05  # of the cells that stand above the open ground: a town or a wood
+    nothing_explained: float = 0.9  # of the variance, at least: other towns leave 0.91 to 1, the right ones 0.15 to 0.6
     least_shared: float = 0.65  # of the ground of the largest DSM that all dates have: two turned squares have 0.7
     least_year: int = 1957  # of the first satellite
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from typing import Callable, List, Sequence, Tuple
 
 import numpy as np
@@ -31,26 +32,20 @@ def displaced_by(
     with suppress(EmptyResultError):
         found = align("3d", patches, cell, check)
         by = float(np.hypot(found.dx, found.dy))
+        # By whole cells: what lies between them is smoother, and noise would fit better there.
+        whole = replace(
+            found, **{name: round(getattr(found, name) / side) * side for name, side in zip(("dx", "dy"), cell)}
+        )
         if by > max(parameters.most_displaced_m, parameters.most_displaced_cells * max(map(abs, cell))):
             before, after = (
                 np.concatenate([(surface - other)[np.isfinite(surface - other)] for surface, other in pairs])
-                for pairs in (patches, [(found.applied(surface, cell), other) for surface, other in patches])
+                for pairs in (patches, [(whole.applied(surface, cell), other) for surface, other in patches])
             )
             # Over level ground only walls tell: what is far off counts, but no more than so much.
             misfits = [np.minimum(np.abs(d - np.median(d)), parameters.near_m).mean() for d in (before, after)]
             if misfits[1] < parameters.displaced_gain * misfits[0]:
                 return by
     return 0.0
-
-
-def displaced_finding(path: str, other: str, by: float) -> List[Finding]:
-    """The finding of a date's DSM that fits to another one's so many metres beside its place; none for 0."""
-    if not by:
-        return []
-    text = f"'{path}' fits to '{other}' better {by:.1f} m beside its place"
-    return [
-        Finding("dates-displaced", f"{text}: check the CRS and the place of both, or set ALIGN to 3d.", "doubt"),
-    ]
 
 
 def known_m2(path: str) -> float:

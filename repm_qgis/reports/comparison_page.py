@@ -13,10 +13,9 @@ from ..evaluation.comparison import Comparison
 from ..evaluation.grids import Grid, cell_sides
 from ..evaluation.metrics import HeightMetrics
 from ..gate.places import displaced_by
+from ..gate.reliefs import relief_findings
 from ..geometry.frames import flat_crs, vertical_part
 from ..numerics.accuracy import EXPLAINED
-from ..registration.parameters import REGISTRATION
-from ..registration.solve import other_relief
 from . import charts, pictures, verdict
 from .parameters import VERDICT, VerdictParameters
 from .report import Report, fixed
@@ -109,24 +108,19 @@ def _place_findings(one: Comparison, bounds: VerdictParameters = VERDICT) -> Lis
     if one.metrics.cells < bounds.least_compared_cells:
         text = f"Too few cells to judge the DSM by were compared ({one.metrics.cells})"
         return [Finding("compared-cells", f"{text}; choose a reference that covers more of it.", "doubt")]
-    found = []
     ours, theirs = (one.thumbnails[name] for name in ("dsm", "reference"))
-    both, reference = np.isfinite(ours) & np.isfinite(theirs), one.reference.path
-    own, other = (heights[both].astype(np.float64) for heights in (ours, theirs))
-    relief = other_relief(own, other, REGISTRATION) if own.size else None
-    if relief is not None:
-        found.append(Finding("relief-other", relief.sentence(reference), "doubt"))
+    side = (one.cell_m[0] * one.thumbnail_factor, one.cell_m[1] * one.thumbnail_factor)
+    beside = displaced_by([(ours, theirs)], side) if one.alignment.method in ("none", "vertical") else 0.0
+    found = relief_findings(ours, theirs, side, one.reference.path, beside)
+    relief = any(each.id == "relief-other" for each in found)
     moved, cell = one.alignment, max(map(abs, one.cell_m))
     along = float(np.hypot(moved.dx, moved.dy))
     if along > max(bounds.most_moved_m, bounds.most_moved_cells * cell) or abs(moved.dz) > bounds.most_raised_m:
         text = f"The DSM was moved by {along:.1f} m along the ground and {moved.dz:+.1f} m up before it was compared"
         found.append(Finding("moved-far", f"{text}: check the CRS, the units and the vertical datums of both."))
-    if moved.method in ("none", "vertical") and relief is None:
-        side = (one.cell_m[0] * one.thumbnail_factor, one.cell_m[1] * one.thumbnail_factor)
-        by = displaced_by([(ours, theirs)], side)
-        if by:
-            text = f"The DSM fits to '{reference}' better {by:.1f} m beside its place"
-            found.append(Finding("place-off", f"{text}: check the CRS and the place of both, or set ALIGN to 3d."))
+    if beside and not relief:
+        text = f"The DSM fits to '{one.reference.path}' better {beside:.1f} m beside its place"
+        found.append(Finding("place-off", f"{text}: check the CRS and the place of both, or set ALIGN to 3d."))
     return found
 
 

@@ -309,32 +309,7 @@ def of_change(
 ) -> List[Finding]:
     """The findings of the change between two dates: the changed share of what was compared, the shift (east, north, up)
     that was removed and the median level of detection, m."""
-    found, (dx, dy, dz) = [], shift
-    if math.hypot(dx, dy) > bounds.most_offset_m:
-        found.append(
-            Finding(
-                "dates-displaced",
-                f"The DSMs lie {math.hypot(dx, dy):.1f} m beside each other, which the alignment removed: check the "
-                "CRS and the place of both.",
-            )
-        )
-    if changed_share > bounds.most_changed_share:
-        found.append(
-            Finding(
-                "changed-much",
-                f"{100 * changed_share:.0f} % of the ground changed (usual: at most "
-                f"{100 * bounds.most_changed_share:.0f} %): the alignment assumes that most of the ground is stable, "
-                "so align both DSMs before, and set ALIGN to none.",
-            )
-        )
-    if abs(dz) > bounds.most_offset_m:
-        found.append(
-            Finding(
-                "dates-apart",
-                f"The DSMs differ by {dz:+.1f} m as a whole, which the alignment removed: check that both have the "
-                "same vertical datum.",
-            )
-        )
+    found = [*of_shift(shift, bounds), *of_changed(changed_share, bounds)]
     if level_m > bounds.most_level_m:
         found.append(
             Finding(
@@ -344,6 +319,37 @@ def of_change(
             )
         )
     return found
+
+
+def of_shift(shift: Tuple[float, float, float], bounds: VerdictParameters = VERDICT) -> List[Finding]:
+    """The findings of the shift (m east, north, up) between two dates that an alignment removed."""
+    found, (dx, dy, dz) = [], shift
+    if math.hypot(dx, dy) > bounds.most_offset_m:
+        found.append(
+            Finding(
+                "dates-displaced",
+                f"The DSMs lie {math.hypot(dx, dy):.1f} m beside each other, which the alignment removed: check the "
+                "CRS and the place of both.",
+            )
+        )
+    if abs(dz) > bounds.most_offset_m:
+        found.append(
+            Finding(
+                "dates-apart",
+                f"The DSMs differ by {dz:+.1f} m as a whole, which the alignment removed: check that both have the "
+                "same vertical datum and unit.",
+            )
+        )
+    return found
+
+
+def of_changed(share: float, bounds: VerdictParameters = VERDICT) -> List[Finding]:
+    """The finding of the share of the ground that changed between dates."""
+    if share <= bounds.most_changed_share:
+        return []
+    text = f"{100 * share:.0f} % of the ground changed (usual: at most {100 * bounds.most_changed_share:.0f} %)"
+    remedy = "the alignment assumes that most of the ground is stable, so align both DSMs before, and set ALIGN to none"
+    return [Finding("changed-much", f"{text}: {remedy}.")]
 
 
 def of_buildings(measured: Sequence[float], min_height: float, min_area: float) -> List[Finding]:

@@ -23,12 +23,15 @@ from ..contracts.options import SeriesOptions
 from ..evaluation.comparison import Thumbnails
 from ..evaluation.coregistration import Alignment
 from ..evaluation.grids import Grid
-from ..gate.places import displaced_finding, known_m2, partial_finding
+from ..gate.places import known_m2, partial_finding
+from ..gate.reliefs import date_findings, far_share
 from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.frames import flat_crs
 from ..geometry.vertical import TAG
 from ..imagery import raster
 from ..numerics.robust import nmad
+from ..reports import verdict
+from ..reports.parameters import VERDICT
 from ..runtime.progress import Part, Progress
 from ..runtime.workspace import temporary_folder
 from .areas import AreaOverTime, Areas, AreaSums, outlined, require_inside, write_areas, write_table
@@ -47,6 +50,7 @@ TREND_BANDS = (
 )
 _PLAIN_BANDS = 3  # where there are too few dates for an interval
 DATE_BANDS = ("number of the first date of change", "number of the last date of change")
+_DATE_PX = 500  # of the picture of a date that is compared with the first one
 _PICTURES = ("heights", "trend", "first", "last")
 
 
@@ -126,12 +130,13 @@ class _Work:
         interval = interval_rank(len(series), parameters.share) > 0
         self._bands = len(TREND_BANDS) if interval else _PLAIN_BANDS
         self._thumbnails = Thumbnails(self._grid.size, _PICTURES)
+        self._small = Thumbnails(self._grid.size, list(map(str, range(len(series)))), _DATE_PX)
         dates, errors = len(series), CHANGE.errors
         self._known = np.zeros(dates, np.int64)
         self._common = np.zeros(dates, np.int64)
         self._signs = np.zeros(3)
         self._changed = 0
-        self._beside: List[Finding] = []
+        self._beside = [0.0] * dates
         self._step = max(1, math.ceil(max(self._grid.size) / errors.thinned_side))
         columns, rows = self._grid.size
         self._thinned = np.full((dates, -(-rows // self._step), -(-columns // self._step)), np.nan, np.float32)
@@ -162,7 +167,7 @@ class _Work:
         warnings = [
             *surfaces.warnings,
             *([] if removed else self._offset_warnings(errors)),
-            *self._beside,
+            *self._date_warnings(),
             *partial_finding(shared, [self._series[least].path]),
         ]
         return FoundSeries(
@@ -190,8 +195,7 @@ class _Work:
             progress.step(date / len(self._series), f"Alignment of date {date + 1} of {len(self._series)}")
             pair = self._surfaces.pair(0, date)
             found = lay_on(pair, "vertical" if method == "none" else method, CHANGE.errors.stable, progress)
-            by = displacement(pair, method, progress)
-            self._beside += displaced_finding(self._series[date].path, self._series[0].path, by)
+            self._beside[date] = displacement(pair, method, progress)
             offsets.append(-found.dz)
             if method != "none":
                 self._surfaces.alignments[date] = found
@@ -212,16 +216,27 @@ class _Work:
         dates = change_dates(cells.heights, spread, self._parameters)
         return found, dates, coherent_signs(np.where(found.signs != 0, found.signs, dates.sign))
 
+    def _date_warnings(self) -> List[Finding]:
+        """What contradicts that the other dates show the ground of the first one, and what the alignment removed."""
+        first, side, drawn, found = self._series[0], self._cell_m * self._small.factor, self._small.pictures, []
+        for date, (own, moved) in enumerate(zip(self._series, self._surfaces.alignments)):
+            pair, said = (drawn[str(date)], drawn["0"]), verdict.of_shift((moved.dx, moved.dy, moved.dz))
+            if date:
+                found += date_findings(own.path, first.path, pair, side, self._beside[date])
+                said += verdict.of_changed(far_share(*pair))
+            found += [Finding(each.id, f"Of the DSM '{own.path}': {each}", each.level) for each in said]
+        return found
+
     def _offset_warnings(self, errors: DateErrors) -> List[Finding]:
         plan, texts = self._parameters, []
         for date, offset, usual in zip(self._series, errors.offset_m, errors.usual_m):
             if abs(offset) > max(plan.offset_errors * usual, plan.least_offset_m):
+                where = "from those of the other dates where nothing changed"
+                remedy = "register the DSMs, or set ALIGN to vertical or 3d, which removes it"
+                if abs(offset) > VERDICT.most_offset_m:
+                    remedy = "check the unit of its heights (a foot is 0.3048 m), its vertical datum and its place"
                 texts.append(
-                    Finding(
-                        "date-apart",
-                        f"The heights of {date.label} lie {offset:+.2f} m from those of the other dates where "
-                        "nothing changed: register the DSMs, or set ALIGN to vertical or 3d, which removes it.",
-                    )
+                    Finding("date-apart", f"The heights of {date.label} lie {offset:+.2f} m {where}: {remedy}.")
                 )
         return texts
 
@@ -232,7 +247,7 @@ class _Work:
         plan = self._parameters
         side = math.sqrt(plan.stack_values / len(self._series))
         side = 1 << int(math.log2(min(max(side, plan.least_block_cells), plan.block_cells)))
-        return list(overlapping_blocks(self._grid.size, max(side, self._thumbnails.factor), halo))
+        return list(overlapping_blocks(self._grid.size, max(side, self._small.factor), halo))
 
     def _maps(self, errors: DateErrors, progress: Progress) -> None:
         blocks = self._blocks(2 * CHANGE.detection.coherent_radius + 1)
@@ -306,6 +321,9 @@ class _Work:
         stable = (self._surfaces.stable(own) & (block.signs == 0))[few[1:]]
         standard = _standardised(block.heights[few], block.errors[few], stable, errors.offset_m)
         self._thinned[:, row : row + standard.shape[1], col : col + standard.shape[2]] = standard
+        where = self._surfaces.unnamed(own)
+        for date, heights in enumerate(block.heights):
+            self._small.draw(own, **{str(date): np.where(where, heights, np.float32(np.nan))})
         dates = [_sampled(np.where(each > 0, each, np.nan), self._thumbnails.factor) for each in block.changed]
         self._thumbnails.draw(own, heights=_latest(block.heights), trend=slope, first=dates[0], last=dates[1])
 

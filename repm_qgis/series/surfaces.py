@@ -107,10 +107,15 @@ class Stack:
         most = min(plan.sample_cells, SERIES.stack_values // len(self))
         return sample_windows(self.grid, self.grid.bounds, replace(plan, sample_cells=most))
 
+    def unnamed(self, window: Window) -> Mask:
+        """(rows, columns) the cells of a window that are in no area."""
+        return (
+            self.areas.numbers(window) == 0 if self.areas is not None else np.ones((window.height, window.width), bool)
+        )
+
     def stable(self, window: Window) -> Mask:
         """(rows, columns) the cells of a window that are in no area, and were not seen to change."""
-        shape = window.height, window.width
-        known = self.areas.numbers(window) == 0 if self.areas is not None else np.ones(shape, bool)
+        known = self.unnamed(window)
         return known & ~self.moving[window] if window in self.moving else known
 
     def pair(self, before: int, after: int) -> PairOfDates:

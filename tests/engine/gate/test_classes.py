@@ -77,5 +77,28 @@ def test_classes_of_a_part_are_named(tmp_path):
 
 
 def test_classes_of_another_place_are_refused(tmp_path):
-    with pytest.raises(OverlapError, match="classes.tif' covers no height of .*reference.tif': choose"):
+    with pytest.raises(OverlapError, match="classes.tif' has no class at any height of .*reference.tif': choose"):
         found(tmp_path, town()[1], east=900.0)
+
+
+@pytest.mark.parametrize(
+    "other",
+    (lambda of: of[::-1], lambda of: of[::-1, ::-1], lambda of: np.roll(of, (250, 130), (0, 1))),
+    ids=("upside down", "turned", "another town"),
+)
+@pytest.mark.parametrize("mask", (False, True))
+def test_classes_that_explain_nothing_are_named(tmp_path, other, mask):
+    classes = other(town()[1])
+    (finding,) = found(tmp_path, np.where(classes == 6, classes, np.nan) if mask else classes)
+    assert finding.id == "classes-other" and "not flipped" in finding
+
+
+def test_classes_without_any_value_are_refused(tmp_path):
+    with pytest.raises(OverlapError, match="has no class at any height"):
+        found(tmp_path, np.full((500, 500), np.nan))
+
+
+@pytest.mark.parametrize("width", (60, 90, 150))
+def test_districts_of_any_size_are_good(tmp_path, width):
+    rows, columns = np.indices((500, 500)) // width
+    assert not found(tmp_path, rows % 3 * 3 + columns % 3)

@@ -1,0 +1,102 @@
+"""Dates and DSMs that do not show one ground are named after any alignment, and what does is "Good."."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from repm_qgis.contracts.errors import EmptyResultError
+from repm_qgis.imagery.raster import write
+from repm_qgis.runtime.progress import Recorder, Silent
+from repm_qgis.stages import run_stage
+
+SIDE = 240  # cells of 1 m
+ROWS, COLUMNS = np.indices((SIDE, SIDE)).astype(float)
+EAST = COLUMNS / SIDE - 0.5
+
+
+def town(seed=7, hills=1.0, base=2.0):
+    """Heights of a town at the sea: gentle ground, and houses at random places."""
+    rng = np.random.default_rng(seed)
+    ground = base + hills * (np.sin(COLUMNS / (20 + seed)) * np.cos(ROWS / 25) + 0.3 * np.sin(ROWS / 13 + seed))
+    for _ in range(60):
+        row, column = rng.integers(0, SIDE - 20, 2)
+        depth, width = rng.integers(8, 18, 2)
+        ground[row : row + depth, column : column + width] += rng.uniform(3, 9)
+    return ground
+
+
+def compared(folder, stage, heights, align="none", reference=None, **more):
+    """The findings of a stage for heights against the town, in a series as the second of four dates."""
+    rng, paths = np.random.default_rng(1), []
+    first = town() if reference is None else reference
+    surfaces = [first, heights, first, first] if stage == "series" else [first, heights]
+    for number, surface in enumerate(surfaces):
+        noisy = (surface + rng.normal(0, 0.1, surface.shape)).astype(np.float32)
+        path = str(folder / f"{number}.tif")
+        paths.append(write(path, [noisy], (5e5, 1, 0, 5e6, 0, -1), "EPSG:32633"))
+    output, run = {"output": str(folder / "out.tif")}, Recorder(Silent())
+    named = {
+        "comparedsm": {"reference": paths[0], "dsm": paths[1]},
+        "change": {"before": paths[0], "after": paths[1], **output},
+        "series": {"dsms": paths, "dates": ["2018-05-01", "2020-05-01", "2022-05-01", "2024-05-01"], **output},
+    }[stage]
+    run_stage(stage, {**named, "align": align, **more}, run)
+    return run.findings
+
+
+STAGES = ("comparedsm", "change", "series")
+WRONG = {
+    "feet": lambda of: of / 0.3048,
+    "another town": lambda of: town(11),
+    "mirrored": lambda of: of[:, ::-1],
+    "upside down": lambda of: 2 * np.median(of) - of,
+}
+
+
+@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("align", ("vertical", "3d"))
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_date_of_another_relief_is_named_after_the_alignment(stage, align, wrong, tmp_path):
+    try:
+        found = compared(tmp_path, stage, WRONG[wrong](town()), align)
+    except EmptyResultError as refused:
+        assert "too little relief for a 3-D alignment" in str(refused)
+        return
+    assert any(each.id == "relief-other" and each.level == "doubt" for each in found)
+
+
+@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("align", ("none", "vertical", "3d"))
+@pytest.mark.parametrize("hills", (0.0, 1.0, 20.0))
+def test_one_ground_is_good(stage, align, hills, tmp_path):
+    """Of flat ground only the houses tell."""
+    ground = town(hills=hills)
+    assert not compared(tmp_path, stage, ground + (0.0 if align == "none" else 1.0), align, reference=ground)
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_noise_alone_is_no_other_relief(stage, tmp_path):
+    level = np.full((SIDE, SIDE), 2.0)
+    assert not compared(tmp_path, stage, level + np.random.default_rng(2).normal(0, 0.8, level.shape), reference=level)
+
+
+@pytest.mark.parametrize(("by", "hills"), ((1.5, 0.0), (3.0, 1.0), (5.0, 20.0)))
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_tilt_is_named_as_what_it_is(stage, by, hills, tmp_path):
+    ground = town(hills=hills)
+    found, *more = compared(tmp_path, stage, ground + by * EAST, "vertical", reference=ground)
+    assert found.id == "tilted" and float(found.split(" by ")[1].split(" m ")[0]) == pytest.approx(by, abs=0.15)
+    assert {each.id for each in more} <= {"level-high"}  # of the tilt, too
+
+
+@pytest.mark.parametrize("align", ("vertical", "3d"))
+def test_a_date_of_which_most_is_raised_is_named(align, tmp_path):
+    raised = town() + 4.0 * (np.abs(EAST) < 0.3)
+    assert "changed-much" in {each.id for each in compared(tmp_path, "series", raised, align)}
+
+
+@pytest.mark.parametrize("align", ("none", "vertical"))
+def test_a_date_that_is_far_off_is_not_to_be_aligned(align, tmp_path):
+    said = [each for each in compared(tmp_path, "series", town() + 477.0, align) if each.id.startswith("date")]
+    assert said and not any("ALIGN" in each for each in said) and all("unit" in each for each in said)
