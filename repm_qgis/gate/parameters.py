@@ -55,9 +55,12 @@ class GateParameters(Parameters):
     most_tilted_nmads: float = 2.0  # so many NMADs about the plane
     least_relief_m: float = 0.5  # misfit to what another surface shows elsewhere: less is no question of the place; and
     relief_noises: float = 4.0  # so many times the noise, by second differences over
+    fits_elsewhere: float = 0.65  # of that misfit, at its place: real pairs have 0.1 to 0.5, other towns 0.7 to 1.1
     noise_lag_m: float = 8.0
     least_far_m: float = 1.0  # of a difference of two dates from the usual one; and
     far_spreads: float = 5.0  # so many standard deviations of it: real pairs have 1 to 20 % of such cells
+    least_burst_m: float = 10.0  # of heights in one piece, from the others' difference to a reference; and far_spreads
+    most_burst: float = 0.01  # of the heights: real DSMs and lidar have up to 0.4 %, of what was built between
     class_search_m: float = 60.0  # around a class raster's place, where it is looked for; at most a quarter of its side
     most_unexplained: float = 0.6  # of the variance of heights by classes, at the best place: districts have 0.7 to 1
     class_height_m: float = 10.0  # above the open ground, from which on heights are alike

@@ -8,7 +8,7 @@ from typing import List, Tuple
 import numpy as np
 
 from ..contracts.arrays import FloatImage
-from ..contracts.findings import Finding
+from ..contracts.findings import Finding, as_percent
 from ..contracts.records import OtherRelief
 from ..evaluation.coregistration import block_means
 from ..numerics.robust import nmad
@@ -37,10 +37,12 @@ def relief_findings(
     places = np.column_stack([columns / ours.shape[1] - 0.5, rows / ours.shape[0] - 0.5, np.ones(rows.size)])
     first, second = (each[rows, columns].astype(np.float64) for each in (ours, theirs))
     away = first - second
-    tilt = places @ robust_plane(places, away, float(np.median(away)), parameters)
+    tilt, *planes = (
+        places @ robust_plane(places, each, float(np.median(each)), parameters) for each in (away, first, second)
+    )
     found = other_relief(first - tilt, second, REGISTRATION)
-    for image, heights in ((ours, first), (theirs, second)):
-        image[rows, columns] = heights - places @ np.linalg.lstsq(places, heights, rcond=None)[0]
+    for image, plane in zip((ours, theirs), planes):
+        image[rows, columns] -= plane
     one, two = ours[rows, columns], theirs[rows, columns]
     alike = float(np.corrcoef(one, two)[0, 1]) if min(one.std(), two.std()) > 0.0 else 0.0
     relief = OtherRelief(alike, float(one.std() / max(two.std(), parameters.open_least_m)))
@@ -71,6 +73,28 @@ def date_findings(
         text = f"'{path}' fits to '{other}' better {beside:.1f} m beside its place"
         remedy = "check the CRS and the place of both, or set ALIGN to 3d"
         found.append(Finding("dates-displaced", f"{text}: {remedy}.", "doubt"))
+    return found
+
+
+def block_findings(
+    own: FloatImage, reference: FloatImage, path: str, parameters: GateParameters = GATE
+) -> List[Finding]:
+    """Whether many heights (rows, columns; m) in one piece are far from a reference's: no NMAD shows a burst, nor what
+    one of the two lacks."""
+    from scipy import ndimage  # QGIS's own process may lack it
+
+    away = own - reference
+    known = away[np.isfinite(away)]
+    most = max(parameters.least_burst_m, parameters.far_spreads * nmad(known))
+    found = []
+    for above in (1, -1):
+        pieces = ndimage.label(above * (away - np.median(known)) > most)[0]
+        sizes = np.bincount(pieces.ravel(), minlength=2)[1:]
+        if sizes.max() > parameters.most_burst * known.size:
+            by = float(np.median(away[pieces == sizes.argmax() + 1]))
+            share = as_percent(sizes.max() / known.size)
+            text = f"{share} of the heights, in one piece, lie {by:+.1f} m from those of '{path}'"
+            found.append(Finding("piece-off", f"{text}: see 'Pictures'."))
     return found
 
 
@@ -107,7 +131,7 @@ def _fits_elsewhere(own: FloatImage, other: FloatImage, side_m: float, parameter
         or least < parameters.least_relief_m / 2
     ):
         return False
-    return _misfit(own, other, parameters) > parameters.displaced_gain * usual
+    return _misfit(own, other, parameters) > parameters.fits_elsewhere * usual
 
 
 def _misfit(own: FloatImage, other: FloatImage, parameters: GateParameters) -> float:

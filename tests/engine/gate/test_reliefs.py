@@ -100,3 +100,17 @@ def test_a_date_of_which_most_is_raised_is_named(align, tmp_path):
 def test_a_date_that_is_far_off_is_not_to_be_aligned(align, tmp_path):
     said = [each for each in compared(tmp_path, "series", town() + 477.0, align) if each.id.startswith("date")]
     assert said and not any("ALIGN" in each for each in said) and all("unit" in each for each in said)
+
+
+@pytest.mark.parametrize("by", (50.0, -50.0))
+@pytest.mark.parametrize("hills", (0.0, 20.0))
+def test_a_burst_in_one_piece_is_named(by, hills, tmp_path):
+    ground = town(hills=hills)
+    burst = ground + by * ((ROWS < 34) & (COLUMNS > 200))
+    (found,) = compared(tmp_path, "comparedsm", burst, reference=ground)
+    assert found.id == "piece-off" and "2.3 % of the heights, in one piece" in found and f"{by:+.1f} m" in found
+
+
+def test_houses_that_were_built_between_are_no_burst(tmp_path):
+    built = town() + 20.0 * ((ROWS % 60 < 12) & (COLUMNS % 60 < 12))  # 4 % of the ground
+    assert not compared(tmp_path, "comparedsm", built)
