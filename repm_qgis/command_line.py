@@ -17,6 +17,7 @@ import sys
 from typing import Any, List, Optional, Sequence, TextIO, Type, get_args, get_origin
 
 from . import __version__
+from .contracts import options as options_of_stages
 from .contracts.checks import Choice, Number, types_of
 from .contracts.documents import JsonMapping, JsonObject, Keywords
 from .contracts.options import Options, PipelineOptions
@@ -100,9 +101,7 @@ def _help(stage: str, options: Type[Options], name: str) -> str:
     """What options.py says of an option, what it may be, and its default."""
     owner, declared = _owner(options, name), options.option(name)
     product = next((each for each in PRODUCTS if each.option == name and STAGES[each.stage].options is owner), None)
-    sentences = re.split(r"(?<=\.)\s+", " ".join((owner.__doc__ or "").split()))
-    said = next((each for each in sentences if re.search(rf"``{name}(``|/)", each)), "")
-    parts = [product.title if product is not None else "", _plain(said).rstrip(".")]
+    parts = [product.title if product is not None else "", _plain(_said(owner, name))]
     check, default = declared.metadata.get("check"), declared.default
     if isinstance(check, Number):
         parts.append(f"{check.low:.10g} to {check.high:.10g} {check.unit}".strip())
@@ -111,6 +110,24 @@ def _help(stage: str, options: Type[Options], name: str) -> str:
     elif isinstance(default, bool):
         parts.append(f"default: {'yes' if default else 'no'}")
     return "; ".join(filter(None, parts))
+
+
+def _said(owner: Type[Options], name: str) -> str:
+    """What the docstring of a class says of an option: the words behind its name, or behind the last of several names,
+    up to the next option or to the end of the sentence."""
+    text = " ".join((owner.__doc__ or "").split())
+    named = list(re.finditer(rf"(?:(?<=[.;,:] )|(?<=and ))``({'|'.join(owner.names())})``", text))
+    for index, each in enumerate(named):
+        if each[1] == name:
+            ends = [*(other.start() for other in named[index + 1 :]), len(text)]
+            words = (text[other.end() : end].strip(" ,;") for other, end in zip(named[index:], ends))
+            said = next(each for each in words if re.sub(r"^\([^)]*\)|\band$", "", each).strip(" ,;"))
+            said = re.split(r"(?<=\.)\s", said)[0]
+            elsewhere = re.search(r"as in (?::class:`|``)(\w+)", said)
+            if elsewhere:
+                return _said(getattr(options_of_stages, elsewhere[1]), name)
+            return re.sub(r"^(is|are|names?) |^[:,] *|[.,;]$|[,;]? and$", "", re.sub(r"^\([^)]*\):? ", "", said))
+    return ""
 
 
 def _plain(text: str) -> str:

@@ -227,17 +227,17 @@ class InspectOptions(Options):
 class EpmFitOptions(Options):
     """Fit pinhole cameras to the RPCs of images, tile by tile.
 
-    ``images`` are files; any tile of a product stands for the whole image; a folder, an archive or
-    a STAC item for all its images.
-    ``rpcs`` names the images' RPC files in the images' order, "" where the RPC is in the image or in a sidecar file;
-    empty: all are to be found. ``masks`` names in the same order rasters of the images' size whose pixels that are
-    neither zero nor nodata are not to be used (clouds, water), "" where there is none; empty: none at all.
+    ``images`` are files; any tile of a product stands for the whole image; a folder, an archive or a STAC item for all
+    its images. ``rpcs`` names the images' RPC files in the images' order, "" where the RPC is in the image or in a
+    sidecar file; empty: all are to be found. ``masks`` names in the same order rasters of the images' size whose pixels
+    that are neither zero nor nodata are not to be used (clouds, water), "" where there is none; empty: none at all.
     ``ortho_ready_height`` is the height, m above the ellipsoid, to which ortho-ready images were projected whose
-    metadata do not state it; None: it is found with a DEM, or assumed.
-    ``extent`` is xmin, ymin, xmax, ymax in ``extent_crs`` (any PROJ text); None takes all that two images see.
-    ``altitude_min/max`` in metres above the ellipsoid; None takes the DEM's range, or the RPCs'. ``tile_size`` in
-    px of the finest image, 0 = the largest that keeps the equivalent error under ``error_budget`` px.
-    ``tiles`` and ``report`` name the vector file and the HTML page to write; None puts them into the workspace.
+    metadata do not state it; None: it is found with a DEM, or assumed. ``extent`` is xmin, ymin, xmax, ymax, None takes
+    all that two images see; ``extent_crs`` is its CRS, any PROJ text. ``altitude_min`` and ``altitude_max`` in metres
+    above the ellipsoid; None takes the DEM's range, or the RPCs'. ``tile_size`` in px of the finest image, 0 = the
+    largest that keeps the equivalent error under ``error_budget`` px; ``error_budget`` is the largest equivalent error
+    of such a tile. ``tiles`` and ``report`` name the vector file and the HTML page to write; None puts them into the
+    workspace.
     """
 
     images: Tuple[str, ...] = field(metadata=_READ)
@@ -559,7 +559,7 @@ class PipelineOptions(Options):
 class CompareDsmOptions(Options):
     """Compare a DSM with a reference, on the reference's grid.
 
-    ``dsm``, ``reference`` and ``others`` are rasters, or point clouds, which become rasters of their first returns.
+    ``dsm`` and ``reference`` are rasters, or point clouds, which become rasters of their first returns.
     ``align`` removes a vertical offset, or a 3-D shift, first: ``3d`` by the slopes of cells, ``icp`` by points.
     ``thresholds`` in metres, for the completeness. ``others`` are further DSMs for the same table, each aligned for
     itself; ``classes`` is a raster whose values errors are grouped by; ``profiles`` is a line layer along which all
@@ -595,7 +595,7 @@ class MosaicOptions(Options):
     """Put many DSMs together to one.
 
     ``scenes`` are reconstructed scenes, each of which is fused to a DSM first and has its place after ``dsms``.
-    ``fixed`` are those of ``dsms`` and ``scenes`` whose heights stay (they were registered), as those of scenes that
+    ``fixed`` are those of all these whose heights stay (they were registered), as those of scenes that
     have ground control points do; without any, the mean of all offsets is zero. ``confidences`` names in the order of
     ``dsms`` rasters with the expected error of each height, "" where there is none; empty: none at all. ``resolution``
     in units of the CRS, 0 = the first DSM's cells; ``crs`` any projected CRS, None the first DSM's. ``output`` and
@@ -641,11 +641,11 @@ class MosaicOptions(Options):
 class ChangeOptions(Options):
     """Find what changed between the DSMs of two dates.
 
-    ``before_confidence`` and ``after_confidence`` are rasters with the expected error of each height; both or none are
-    used. ``align`` moves ``after`` onto ``before`` by what did not change. ``min_area`` in m2: smaller changes are left
-    out. ``output`` is the difference, after minus before; ``significant`` and ``volumes`` are the raster and the
-    polygons of significant changes, ``report`` the HTML page, None = not wanted. ``cluster`` as in
-    ``ReconstructOptions``.
+    ``before`` and ``after`` are the DSMs. ``before_confidence`` and ``after_confidence`` are rasters with the expected
+    error of each height; both or none are used. ``align`` moves ``after`` onto ``before`` by what did not change.
+    ``min_area`` in m2: smaller changes are left out. ``output`` is the difference, after minus before; ``significant``
+    and ``volumes`` are the raster and the polygons of significant changes, ``report`` the HTML page, None = not wanted.
+    ``cluster`` as in ``ReconstructOptions``.
     """
 
     before: str = read()
@@ -677,10 +677,10 @@ class SeriesOptions(Options):
     ``dsms`` in any order; ``dates`` are their times in the same order (days or ISO 8601), empty: those that the files
     state. ``confidences`` names in that order rasters with the expected error of each height, "" where there is none;
     empty: none at all. ``align`` moves each DSM onto the first by what did not change. ``areas`` are polygons whose
-    volumes are followed, outside of which the ground is stable; None: the outlines of what changed, of at least
-    ``min_area`` m2. ``output`` has a band of heights for each date; ``layers`` is a folder with a map layer of each;
-    ``trend``, ``changed``, ``volumes`` and ``table`` are the maps of the trend and of the dates of change, the
-    polygons and their table; None = not wanted. ``cluster`` as in ``ReconstructOptions``.
+    volumes are followed, outside of which the ground is stable; None: the outlines of what changed; ``min_area`` is the
+    smallest of these. ``output`` has a band of heights for each date; ``layers`` is a folder with a map layer of each;
+    ``trend``, ``changed``, ``volumes`` and ``table`` are the maps of the trend and of the dates of change, the polygons
+    and their table; None = not wanted. ``cluster`` as in ``ReconstructOptions``.
     """
 
     dsms: Tuple[str, ...] = field(metadata=_READ)
@@ -738,9 +738,10 @@ class ViewerOptions(Options):
 
 @dataclass(frozen=True)
 class Tiles3dOptions(Options):
-    """Write a DSM as 3-D Tiles into the folder ``tiles3d``, with the pictures of ``ortho`` (None: a hillshade).
+    """Write a DSM as 3-D Tiles.
 
-    ``dsm`` may be a point cloud (LAZ, LAS) instead, whose points have colours of their own.
+    ``tiles3d`` is the folder to write, ``ortho`` a picture to drape over it, None: a hillshade. ``dsm`` may be a point
+    cloud (LAZ, LAS) instead, whose points have colours of their own.
     """
 
     dsm: str = read()
@@ -758,11 +759,11 @@ class Tiles3dOptions(Options):
 class DtmOptions(Options):
     """Find the terrain below the houses and trees of a DSM.
 
-    ``dsm``, or a reconstructed ``scene`` that is fused first. ``confidence`` is the DSM's raster of expected errors,
-    None where there is none; a scene's is made. ``largest`` is the width of the largest object, ``slope`` the steepest
-    ground. ``voids``: ``inside``, cells without a height that heights surround get a terrain, or ``none``. ``heights``
-    is the DSM minus the terrain, ``mask`` where objects stand; None = not wanted. ``workers``, ``memory`` and
-    ``cluster`` as in ``ReconstructOptions``.
+    ``dsm`` is the DSM, ``scene`` in its place a reconstructed scene, which is fused first. ``confidence`` is the DSM's
+    raster of expected errors, None where there is none; a scene's is made. ``largest`` is the width of the largest
+    object, ``slope`` the steepest ground. ``voids``: ``inside``, cells without a height that heights surround get a
+    terrain, or ``none``. ``heights`` is the DSM minus the terrain, ``mask`` where objects stand; None = not wanted.
+    ``workers``, ``memory`` and ``cluster`` as in ``ReconstructOptions``.
     """
 
     output: str = given()
@@ -794,9 +795,9 @@ class BuildingsOptions(Options):
     """Find the buildings of a DSM: footprints, heights with errors, and simple roofs.
 
     ``dtm`` is the terrain below it, None: it is made first. ``confidence`` is the DSM's raster of expected errors, and
-    ``ortho`` an orthophoto whose near infrared tells plants; None where there is none. Buildings are at least
-    ``min_height`` m tall and ``min_area`` m2 large. ``output`` are the footprints, ``cityjson`` the solids; None = not
-    wanted. ``workers``, ``memory`` and ``cluster``, for the terrain, as in ``ReconstructOptions``.
+    ``ortho`` an orthophoto whose near infrared tells plants; None where there is none. ``min_height`` is the least
+    height of a building, ``min_area`` its least area. ``output`` are the footprints, ``cityjson`` the solids; None =
+    not wanted. ``workers``, ``memory`` and ``cluster``, for the terrain, as in ``ReconstructOptions``.
     """
 
     dsm: str = read()
@@ -843,8 +844,8 @@ class EditDsmOptions(Options):
 class CheckGcpsOptions(Options):
     """Measure a scene's RPCs and pointing, and a DSM, at ground control points.
 
-    ``scene`` or ``dsm`` may be left out, not both. ``gcps`` is a table or point layer, ``gcp_datum`` what its heights
-    refer to (a vertical CRS; "" is the ellipsoid). ``output`` is the point layer to write, None = not wanted.
+    ``scene`` and ``dsm``: one of them may be left out. ``gcps`` is a table or point layer, ``gcp_datum`` what its
+    heights refer to (a vertical CRS; "" is the ellipsoid). ``output`` is the point layer to write, None = not wanted.
     """
 
     gcps: str = read()
@@ -862,7 +863,10 @@ class CheckGcpsOptions(Options):
 
 @dataclass(frozen=True)
 class SampleDataOptions(Options):
-    """Make a truth scene: simulated images of a known surface."""
+    """Make a truth scene: simulated images of a known surface.
+
+    ``folder`` gets the files. ``kind`` of surface, ``size`` of an image's side, ``seed`` of the random numbers.
+    """
 
     folder: str = given()
     kind: str = choice("urban", KINDS)
@@ -874,8 +878,9 @@ class SampleDataOptions(Options):
 class EnvironmentOptions(Options):
     """Report what is installed here and what is missing, or make or remove the engine's own environment.
 
-    ``install`` makes the environment ``folder`` with the Python that runs the stage, or renews it: from the package
-    index, through ``proxy`` where one is given, or from the folder ``wheels`` alone. ``remove`` removes it. The report
+    ``install`` makes the environment with the Python that runs the stage, or renews it, ``remove`` removes it;
+    ``folder`` is where it lies. ``proxy`` is what the package index is reached through, ``wheels`` a folder that
+    replaces the index. The report
     is of the Python that runs the stage, so it is not written then.
     """
 

@@ -74,7 +74,24 @@ def test_the_help_has_meaning_bounds_and_default(capsys):
     said = " ".join(capsys.readouterr().out.split())
     check = EpmFitOptions.option("tile_size").metadata["check"]
     assert f"the largest that keeps the equivalent error under error_budget px; {check.low} to {check.high} px" in said
-    assert "altitude_min/max in metres above the ellipsoid" in said
+    assert said.count("in metres above the ellipsoid; None takes the DEM's range, or the RPCs'; -12000 to 10000 m") == 2
+
+
+def test_the_help_of_an_option_is_its_own(capsys):
+    """A sentence about several options is no help for each of them."""
+    for stage, option, told in (
+        ("dtm", "largest", "the width of the largest object; 2 to 500 m; default: 150.0"),
+        ("dtm", "slope", "the steepest ground; 5 to 300 %; default: 40.0"),
+        ("buildings", "min-area", "its least area; 4 to 1000000 m2; default: 50.0"),
+        ("register", "workers", "0 means one for each core; 0 to 1024; default: 0"),
+        ("change", "cluster", "the address or the scheduler file of a Dask cluster whose workers do the work;"),
+        ("dsmfuse", "mesh", "files to write, None = not wanted"),
+    ):
+        with pytest.raises(SystemExit):
+            command_line.main([stage, "--help"])
+        said = " ".join(capsys.readouterr().out.split("options:")[1].split())
+        own = re.split(r" --[a-z]", said.partition(f"--{option} ")[2])[0]
+        assert told in own and len(own) < 200, (stage, own)
 
 
 def test_a_job_file_has_options_over_which_those_of_the_command_line_go(tmp_path, monkeypatch):
