@@ -43,7 +43,11 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="repm", description="Surface models from satellite images with RPCs.")
+    programs = (
+        "For programs: 'python -m repm_qgis STAGE JOB.json' takes the options from a file, and writes JSON lines."
+    )
+    about = "Surface models from satellite images with RPCs."
+    parser = argparse.ArgumentParser(prog="repm", description=about, epilog=programs)
     parser.add_argument("--version", action="version", version=f"repm {__version__}")
     stages = parser.add_subparsers(dest="stage", required=True, metavar="STAGE")
     for name, declared in STAGES.items():

@@ -70,8 +70,8 @@ def fitted_model(
             rows.append((low, high, count, spread, stated, float(np.clip(rise, 1e-3, parameters.steepest))))
     if not rows:
         raise EmptyResultError(
-            f"Only {difference.size} cells have heights in both DSMs that were not interpolated, too few to find "
-            "stable ground: choose DSMs of the same ground, with fewer holes or smaller cells."
+            f"Cells with heights in both DSMs that were not interpolated: {difference.size}, too few to find stable "
+            "ground: choose DSMs of the same ground, with fewer holes or smaller cells."
         )
     spreads, errors, rises = (np.array([row[index] for row in rows]) for index in (3, 4, 5))
     scale, horizontal = _explained(spreads, errors, rises)

@@ -331,6 +331,6 @@ def _differences(patches: Sequence[Patch], shift: FloatArray, parameters: Coregi
 
 def _require_cells(difference: Floats, parameters: CoregistrationParameters) -> None:
     if difference.size < parameters.least_cells:
-        few = f"Only {difference.size} cells have a height in both the DSM and the reference, and an alignment"
+        few = f"Cells with a height in both the DSM and the reference: {difference.size}; an alignment"
         remedy = "choose a reference that covers more of the DSM or has smaller cells, or set ALIGN to none"
         raise EmptyResultError(f"{few} needs {parameters.least_cells}: {remedy}.")

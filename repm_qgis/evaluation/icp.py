@@ -116,5 +116,5 @@ def _tree(xyz: FloatArray) -> Any:
 
 
 def _too_few(count: int, parameters: IcpParameters) -> EmptyResultError:
-    few = f"Only {count} points of the DSM lie near flat parts of the reference, and ALIGN=icp needs"
+    few = f"Points of the DSM near flat parts of the reference: {count}; ALIGN=icp needs"
     return EmptyResultError(f"{few} {parameters.least_points}: choose a larger area, or set ALIGN to 3d or none.")

@@ -126,12 +126,13 @@ def stated_deviation(dataset: gdal.Dataset) -> Optional[float]:
 class StrayNumbers(NamedTuple):
     """Shares of a band's cells (0..1) with numbers that cannot be heights (``impossible``), with those that mean "none"
     although no nodata value declares them (``marked``), and with one height, ``constant_m``, that lies far from all
-    others: a void that could be a height (``constant``)."""
+    others: a void that could be a height (``constant``). ``possible`` is the share of what can be heights."""
 
     impossible: float = 0.0
     marked: float = 0.0
     constant: float = 0.0
     constant_m: float = 0.0
+    possible: float = 1.0
 
 
 def stray_numbers(dataset: gdal.Dataset, band: int = 1) -> StrayNumbers:
@@ -147,7 +148,8 @@ def stray_numbers(dataset: gdal.Dataset, band: int = 1) -> StrayNumbers:
     left = np.isfinite(heights)
     share, constant_m = _constant(heights[left & ~marked], values[left & ~marked])
     impossible = float((stated & ~marked & ~left).mean())
-    return StrayNumbers(impossible, float(marked.mean()), share * float((left & ~marked).mean()), constant_m)
+    possible = float((left & ~marked).mean())
+    return StrayNumbers(impossible, float(marked.mean()), share * possible, constant_m, possible)
 
 
 def _constant(heights: FloatImage, numbers: FloatImage) -> Tuple[float, float]:

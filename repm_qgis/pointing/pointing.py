@@ -85,8 +85,8 @@ def point_views(
     tracks = with_base(scene.views, tracks, altitude, parameters.track_base)
     if len(tracks) < parameters.least_tracks:
         raise EmptyResultError(
-            f"Only {len(tracks)} tie points could be aligned at full resolution (needed: {parameters.least_tracks}): "
-            "are the images in focus, of one season, and free of clouds?"
+            f"Tie points that could be aligned at full resolution: {len(tracks)} (needed: {parameters.least_tracks}). "
+            "Are the images in focus, of one season, and free of clouds?"
         )
     if route == "colmap":
         adjusted = adjust_colmap(scene, tracks, Part(progress, 0.95, 1.0), parameters, altitudes)

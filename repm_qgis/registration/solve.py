@@ -268,7 +268,7 @@ def _search(
     best, (least_cost, up) = (0.0, 0.0), cost(0.0, 0.0)
     if math.isinf(least_cost):
         count = int(np.isfinite(surface.at(xyz[:, 0], xyz[:, 1])[0]).sum())
-        few = f"Only {count} heights of the reference lie on the scene's own surface"
+        few = f"Heights of the reference on the scene's own surface: {count}"
         remedy = f"at least {parameters.least_supports} are needed: choose a reference that covers the scene"
         raise EmptyResultError(f"{few}, and {remedy}.")
     step = prior.most_m / 4
@@ -321,8 +321,8 @@ class _Problem:
             check()
             residual, design, seen = self._linearised(unknowns)
             if seen.sum() < p.least_supports:
-                few = f"Only {int(seen.sum())} heights of the reference lie on the scene's own surface"
-                raise EmptyResultError(f"{few}: choose a reference that covers more of the scene.")
+                few = f"Heights of the reference on the scene's own surface: {int(seen.sum())}"
+                raise EmptyResultError(f"{few}. Choose a reference that covers more of the scene.")
             if iteration < 3:  # the middle of the differences until the shift is nearly right
                 residual = residual - mode(residual[seen], p.mode_share)
             noise = self._noise(residual, np.hypot(design[:, 0], design[:, 1]), seen)

@@ -400,6 +400,6 @@ def _log(options: DsmFuseOptions, parameters: EngineParameters, facts: FusionFac
     if facts.dem_offset is not None and not facts.dem_offset.unexpected:
         progress.info(facts.dem_offset.sentence())
     if facts.interpolated and not options.confidence:
-        cells = f"{facts.interpolated} cells of '{options.output}' are interpolated, not measured"
-        progress.info(f"{cells}: ask for CONFIDENCE to see which (band 4).")
+        cells = f"Cells of '{options.output}' that are interpolated, not measured: {facts.interpolated}"
+        progress.info(f"{cells}. Ask for CONFIDENCE to see which (band 4).")
     warn_all(progress, of_surface(facts))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..contracts.errors import RepmError
+from ..contracts.errors import ImageError, RepmError
 from ..contracts.file_kinds import is_catalogue, is_cloud
 from ..contracts.findings import Finding, as_percent
 from ..contracts.options import Options
@@ -16,7 +16,7 @@ _HEIGHTS = ("dem", "dsm", "dsms", "reference", "before", "after", "others", "dtm
 
 def name_voids(options: Options, progress: Progress) -> None:
     """Name rasters with numbers that are no heights, and their share: a warning where they cannot be heights, a note
-    where they are the usual marks."""
+    where they are the usual marks. Raises ImageError where none of them can be a height, as in centimetres."""
     paths = dict.fromkeys(path for name, path in options.read_paths() if name in _HEIGHTS)
     for path in (each for each in paths if not (is_cloud(each) or is_catalogue(each))):
         try:
@@ -24,6 +24,11 @@ def name_voids(options: Options, progress: Progress) -> None:
                 stray = stray_numbers(dataset)
         except RepmError:  # a table, or what the stage itself reports
             continue
+        if stray.impossible and not stray.possible:
+            raise ImageError(
+                f"No number of '{path}' can be a height in metres ({LOWEST_M:g} to {HIGHEST_M:g}): state the unit "
+                "of its band, such as cm, or convert its heights."
+            )
         if stray.constant:
             progress.warn(
                 Finding(

@@ -13,6 +13,7 @@ import time
 import numpy as np
 import pytest
 
+from repm_qgis.contracts.stages import STAGES
 from repm_qgis.imagery.raster import opened
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -47,6 +48,14 @@ def test_a_result_is_the_last_of_json_lines_and_code_0(tmp_path):
     assert said[-1]["type"] == "result" and said[-1]["result"]["report"] == str(tmp_path / "r.html")
     fractions = [message["fraction"] for message in said if message["type"] == "progress"]
     assert fractions == sorted(fractions) and fractions[-1] == 1
+
+
+def test_who_asks_for_help_gets_the_stages_and_their_options():
+    done = engine("--help")
+    assert done.returncode == 0 and done.stdout.startswith("usage: repm ") and not done.stderr
+    assert all(f"\n    {stage} " in done.stdout for stage in STAGES) and "STAGE JOB.json" in done.stdout
+    done = engine("dtm", "--help")
+    assert done.returncode == 0 and done.stdout.startswith("usage: repm dtm ") and "--slope" in done.stdout
 
 
 def test_expected_failures_are_sentences_and_code_1(tmp_path):

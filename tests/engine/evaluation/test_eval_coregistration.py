@@ -116,7 +116,7 @@ def test_too_few_cells_are_refused():
         lambda: c.align("3d", [(z, z)], (1, 1)),
         lambda: c.align("vertical", [], (1, 1)),
     ):
-        with pytest.raises(EmptyResultError, match="Only (9|0) cells"):
+        with pytest.raises(EmptyResultError, match="Cells with a height in both the DSM and the reference: (9|0);"):
             align()
 
 

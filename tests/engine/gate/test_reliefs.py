@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from repm_qgis.contracts.errors import EmptyResultError
+from repm_qgis.contracts.errors import EmptyResultError, ImageError
 from repm_qgis.imagery.raster import write
 from repm_qgis.runtime.progress import Recorder, Silent
 from repm_qgis.stages import run_stage
@@ -114,3 +114,11 @@ def test_a_burst_in_one_piece_is_named(by, hills, tmp_path):
 def test_houses_that_were_built_between_are_no_burst(tmp_path):
     built = town() + 20.0 * ((ROWS % 60 < 12) & (COLUMNS % 60 < 12))  # 4 % of the ground
     assert not compared(tmp_path, "comparedsm", built)
+
+
+@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("align", ("none", "vertical", "3d"))
+def test_heights_in_centimetres_are_refused_as_what_they_are(stage, align, tmp_path):
+    ground = town(base=300.0)
+    with pytest.raises(ImageError, match="1.tif' can be a height in metres .*: state the unit of its band, such as cm"):
+        compared(tmp_path, stage, 100 * ground, align, reference=ground)
