@@ -67,7 +67,7 @@ def date_findings(
     """
     found = [
         Finding(each.id, f"Of the DSM '{path}': {each}", each.level)
-        for each in relief_findings(*heights, (cell_m, cell_m), other, beside)
+        for each in relief_findings(heights[0], heights[1], (cell_m, cell_m), other, beside)
     ]
     if beside and not found:
         text = f"'{path}' fits to '{other}' better {beside:.1f} m beside its place"

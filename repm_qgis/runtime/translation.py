@@ -5,7 +5,8 @@ what is filled in (``"{0} tiles of up to {1} px"``), and its translation with th
 ``scripts/i18n.py`` collects the sentences from the source, and says which ones lack a translation.
 
 A text is compared with the templates, the most literal first; the contents of a field are translated in the same way,
-because sentences consist of phrases. Texts that no template fits stay as they are: numbers, paths, names.
+because sentences consist of phrases. Texts that no template fits stay as they are: paths, names; numbers take the
+decimal comma of a language that has one, but in lists, and where they have more decimals than metres need.
 """
 
 from __future__ import annotations
@@ -28,6 +29,9 @@ _FOLDER = DATA_FOLDER / "i18n"
 _FIELD = re.compile(r"\{(\d+)\}")
 _LETTERS = re.compile(r"[^\W\d_]{2}")
 _WORDS = re.compile(r"[^\W\d_]{2}[,;:]?\s+[^\W\d_]{2}")
+_DECIMAL = re.compile(r"(?<![\w.:/\\])(\d+)\.(\d{1,4})(?!\w|[.:/\\]\w)")
+_COMMA = ("de",)
+"""Languages with a decimal comma."""
 _MOST_SPLITS, _MOST_TRIES = 12, 4000
 _JOINTS = (". ", "? ", ": ", "; ", ", ")
 """Where a text that no template fits is cut, and its parts are translated by themselves."""
@@ -51,9 +55,9 @@ class _Template:
         self._pieces = [*([""] if before else []), *_FIELD.split(source)[::2], *([""] if after else [])]
         self._numbers = [*([-1] if before else []), *map(int, _FIELD.findall(source)), *([-2] if after else [])]
         self._target = ("{-1}" if before else "") + target + ("{-2}" if after else "")
-        # A path or a name in quotation marks is not translated.
+        # A path or a name in quotation marks is not translated, nor what somebody is to type.
         around = zip(self._pieces, self._pieces[1:])
-        self._kept = [left[-1:] == "'" and right[:1] == "'" for left, right in around]
+        self._kept = [left[-1:] == "=" or (left[-1:] == "'" and right[:1] == "'") for left, right in around]
         self.weight = sum(map(len, self._pieces))
         self._is_short = sum(letter.isalpha() for piece in self._pieces for letter in piece) < _FEW_LETTERS
 
@@ -132,21 +136,24 @@ class Translator:
         return self.search(text).text
 
     def _search(self, text: str) -> _Found:
-        return _Search(self._exact, self._templates).of(text) if self._exact else _Found(text, False)
+        comma = self.language.split("_")[0] in _COMMA
+        return _Search(self._exact, self._templates, comma).of(text) if self._exact else _Found(text, False)
 
 
 class _Search:
     """The translation of one text, with those of its parts; gives up after so much work, as texts may be hostile."""
 
-    def __init__(self, exact: Mapping[str, str], templates: Sequence[_Template]) -> None:
-        self._exact, self._templates = exact, templates
+    def __init__(self, exact: Mapping[str, str], templates: Sequence[_Template], comma: bool) -> None:
+        self._exact, self._templates, self._comma = exact, templates, comma
         self._known: Dict[str, _Found] = {}
         self._left = _MOST_TRIES
 
     def of(self, text: str) -> _Found:
         """The best of the ways to translate a text: one that leaves no words, else the first that leaves few."""
-        if text in self._exact or not _LETTERS.search(text):
-            return _Found(self._exact.get(text, text), True)
+        if text in self._exact:
+            return _Found(self._exact[text], True)
+        if not _LETTERS.search(text):
+            return _Found(_DECIMAL.sub(r"\1,\2", text) if self._comma and ", " not in text else text, True)
         if text not in self._known:
             self._known[text] = _Found(text, not _WORDS.search(text))  # where its own part leads back to it
             best = None

@@ -220,10 +220,10 @@ class _Work:
         """What contradicts that the other dates show the ground of the first one, and what the alignment removed."""
         first, side, drawn, found = self._series[0], self._cell_m * self._small.factor, self._small.pictures, []
         for date, (own, moved) in enumerate(zip(self._series, self._surfaces.alignments)):
-            pair, said = (drawn[str(date)], drawn["0"]), verdict.of_shift((moved.dx, moved.dy, moved.dz))
+            theirs, said = drawn[str(date)], verdict.of_shift((moved.dx, moved.dy, moved.dz))
             if date:
-                found += date_findings(own.path, first.path, pair, side, self._beside[date])
-                said += verdict.of_changed(far_share(*pair))
+                found += date_findings(own.path, first.path, (theirs, drawn["0"]), side, self._beside[date])
+                said += verdict.of_changed(far_share(theirs, drawn["0"]))
             found += [Finding(each.id, f"Of the DSM '{own.path}': {each}", each.level) for each in said]
         return found
 

@@ -53,7 +53,7 @@ def test_a_result_is_the_last_of_json_lines_and_code_0(tmp_path):
 def test_who_asks_for_help_gets_the_stages_and_their_options():
     done = engine("--help")
     assert done.returncode == 0 and done.stdout.startswith("usage: repm ") and not done.stderr
-    assert all(f"\n    {stage} " in done.stdout for stage in STAGES) and "STAGE JOB.json" in done.stdout
+    assert set(STAGES) <= set(done.stdout.split()) and "STAGE JOB.json" in done.stdout
     done = engine("dtm", "--help")
     assert done.returncode == 0 and done.stdout.startswith("usage: repm dtm ") and "--slope" in done.stdout
 
