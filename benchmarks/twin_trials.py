@@ -20,6 +20,7 @@ from benchmarks.twin_world import (
     FEET,
     FROM_ECEF,
     SIDE_M,
+    Box,
     Change,
     Form,
     World,
@@ -126,6 +127,21 @@ FAULTS: Dict[str, Fault] = {
     "CRS of the zone beside": lambda f: replace(f, crs_of_file=_beside(f.crs)),
 }
 """What shows beside another raster only."""
+OTHER_GROUND: Dict[str, Fault] = {
+    "of another town": lambda f: f,
+    "mirrored": lambda f: replace(f, turned=(-1.0, 1.0)),
+    "turned by 180 degrees": lambda f: replace(f, turned=(-1.0, -1.0)),
+    "upside down": lambda f: replace(f, factor=-1.0),
+    "in feet near the sea": lambda f: replace(f, unit="ft", states_unit=False),
+}
+"""What an alignment must not hide: the world of the raster is :func:`_other_ground`'s."""
+
+
+def _other_ground(draw: Draw, fault: str, world: World) -> Tuple[World, World]:
+    """A world with relief, near the sea, and what the wrong raster shows of it."""
+    world = replace(world, base=float(draw.rng.uniform(0.5, 3.0)), relief=float(draw.rng.uniform(2, 5)))
+    town = World.drawn(world.seed + 1) if fault == "of another town" else world
+    return world, replace(world, seed=town.seed, houses=town.houses, slope=town.slope)
 
 
 def _void(form: Form, fill: float) -> Form:
@@ -137,10 +153,10 @@ def _beside(crs: str) -> str:
     return f"EPSG:{code + 1}" if 32600 < code < 32660 else crs
 
 
-def with_houses(draw: Draw) -> World:
-    """A draw's world, or another one, with two houses at least."""
+def with_houses(draw: Draw, least: int = 2) -> World:
+    """A draw's world, or another one, with so many houses at least."""
     world = draw.world
-    while len(world.houses) < 2:  # what stands in a place without houses is no question
+    while len(world.houses) < least:  # what stands in a place without houses is no question
         world = World.drawn(int(draw.rng.integers(1 << 30)))
     return world
 
@@ -174,12 +190,18 @@ def change(draw: Draw) -> Trial:
     one = replace(one, metadata={"REPM_DAYS": "2020-05-01"})
     kind = draw.kind(
         *("", "", "", "wall", "raster", "gap", "moved", "reversed", "copy", "zero errors", "beside", "half"),
-        *("centimetres", "negative errors"),
+        *("centimetres", "negative errors", "other"),
     )
     fault, hole, align, conf_two = "", None, "3d", two
     if kind == "raster":
         fault, change_it = draw.any_fault()
         two = conf_two = change_it(two)
+    elif kind == "other":
+        name = list(OTHER_GROUND)[rng.integers(len(OTHER_GROUND))]
+        fault, align = f"a date {name}, aligned", ["vertical", "3d"][int(rng.integers(2))]
+        before, after = _other_ground(draw, name, before)
+        after, two = after.with_changes(), OTHER_GROUND[name](two)
+        conf_two = replace(two, turned=(1.0, 1.0))
     elif kind == "gap":
         fault, hole = "expected errors without those of the heap", after.changes[0]
     elif kind == "moved":
@@ -260,13 +282,23 @@ def series(draw: Draw) -> Trial:
         "half",
         "centimetres",
         "crossed",
+        "other",
+        "raised",
     )
-    kind, fault, change_it = draw.kind(*kinds), "", None
+    kind, fault, change_it, align = draw.kind(*kinds), "", None, "none"
+    shown = world
+    if kind in ("other", "raised"):
+        align = ["vertical", "3d"][int(rng.integers(2))]
     if kind == "raster":
         fault, change_it = draw.any_fault()
+    elif kind == "other":
+        name = list(OTHER_GROUND)[rng.integers(len(OTHER_GROUND))]
+        fault, change_it = f"a date {name}, aligned", OTHER_GROUND[name]
+        world, shown = _other_ground(draw, name, world)
     elif kind != "errors":
         fault = {
             "": "",
+            "raised": "a date with most of the ground raised, aligned",
             "centimetres": "expected errors in centimetres",
             "copy": "a copy as a date",
             "reversed": "DATES in reverse",
@@ -286,10 +318,11 @@ def series(draw: Draw) -> Trial:
             if k == 2:
                 dated = replace(dated, **SERIES_FAULTS.get(kind, {}))  # type: ignore[arg-type]
             source = k - 1 if kind == "copy" and k == 3 else k
-            path = write(
-                draw.path(f"{k}.tif"), replace(world, changes=((*box, 2 * rate * source),)), dated, seed=source
-            )
-            paths.append(path)
+            changes: Tuple[Box, ...] = ((*box, 2 * rate * source),)
+            if kind == "raised" and k == 2:
+                changes = (*changes, (-SIDE_M, -SIDE_M, SIDE_M, 15.0, 3.0))
+            seen = replace(shown if k == 2 else world, changes=changes)
+            paths.append(write(draw.path(f"{k}.tif"), seen, dated, seed=source))
         said = list(reversed(days)) if kind == "reversed" else list(days)
         if kind == "year":
             said[3] = ["0018-05-01", "2320-05-01"][int(rng.integers(2))]
@@ -301,7 +334,7 @@ def series(draw: Draw) -> Trial:
         if kind in ("errors", "centimetres"):
             errors = [write_errors(draw.path(f"e{k}.tif"), world, form, 0.1) for k in range(4)]
             errors[1] = write_errors(draw.path("e1.tif"), world, form, 10.0 if kind == "centimetres" else 0.1)
-        made = stage(SERIES, heard, dsms=paths, dates=said, areas=areas, confidences=errors, **target)
+        made = stage(SERIES, heard, dsms=paths, dates=said, areas=areas, confidences=errors, align=align, **target)
         true = 6 * rate * 2500.0
         return off_by(made.volume_m3, true, 3 * made.volume_deviation_m3 + 0.05 * true, "the volume, m3,")
 
@@ -382,7 +415,9 @@ def comparedsm(draw: Draw) -> Trial:
     """A DSM with a known bias against a reference."""
     world, rng = draw.world, draw.rng
     dsm, reference = draw.form(added=float(rng.uniform(-0.4, 0.4))), draw.form()
-    kind, fault, align = draw.kind("", "", "raster", "copy", "part", "beside", "classes"), "", "none"
+    kind, fault, align = "", "", "none"
+    kind = draw.kind("", "", "raster", "copy", "part", "beside", "classes", "other", "tilt", "burst")
+    shown = world
     if kind == "classes":
         return _by_class(draw, *CLASSES[int(rng.integers(len(CLASSES)))])
     if kind == "raster":
@@ -391,6 +426,17 @@ def comparedsm(draw: Draw) -> Trial:
     elif kind == "beside":
         fault, align = "a DSM 5 m beside, not aligned", ["none", "vertical"][int(rng.integers(2))]
         dsm = replace(dsm, moved=(5.0, 0.0))
+    elif kind == "other":
+        name = list(OTHER_GROUND)[rng.integers(len(OTHER_GROUND))]
+        fault, align = f"a DSM {name}", ["none", "vertical", "3d"][int(rng.integers(3))]
+        world, shown = _other_ground(draw, name, world)
+        dsm = OTHER_GROUND[name](replace(dsm, scaled=False))
+    elif kind == "tilt":
+        fault, dsm = "a DSM tilted by 1.5 to 5 m", replace(dsm, tilt=float(rng.uniform(1.5, 5) * rng.choice((-1, 1))))
+    elif kind == "burst":
+        fault, dsm = "a burst in one piece", replace(dsm, holes=0.0)
+        x, y = rng.uniform(-50, 30, 2)
+        shown = replace(world, changes=((x, y, x + 20.0, y + 18.0, float(rng.choice((-50.0, 50.0)))),))
     elif kind == "copy":
         fault = "the DSM as its own reference"
     elif kind == "part":
@@ -400,12 +446,14 @@ def comparedsm(draw: Draw) -> Trial:
         )
 
     def run(heard: Heard) -> str:
-        one = write(draw.path("a.tif"), world, dsm, seed=1)
+        one = write(draw.path("a.tif"), shown, dsm, seed=1)
         other = one if kind == "copy" else write(draw.path("b.tif"), world, reference, seed=2)
         if kind == "copy":
             other = write(draw.path("c.tif"), world, dsm, seed=1)
         made = stage(COMPAREDSM, heard, dsm=one, reference=other, align=align, report=draw.path("r.html"))
         bias, spread = world.difference(replace(dsm, moved=(0.0, 0.0)), reference)
+        if kind == "tilt" or kind == "burst":
+            return fault  # medians do not show it
         return _first(
             off_by(float(made.bias if made.bias is not None else np.nan), bias, 0.12, "the bias, m,"),
             off_by(float(made.nmad if made.nmad is not None else np.nan), spread, 0.25, "the NMAD, m,"),
@@ -419,15 +467,19 @@ CLASSES: Tuple[Tuple[str, float, float], ...] = (
     ("CLASSES 20 m beside", 20.0, 90.0),
     ("CLASSES of another place", 400.0, 90.0),
     ("CLASSES of a tenth", 0.0, 20.0),
+    ("CLASSES turned by 180 degrees", 19.0, 90.0),
+    ("CLASSES of another town", 0.0, 90.0),
+    ("CLASSES without a value", 0.0, 90.0),
 )
 """How far class rasters of houses lie beside their place, and to where they reach, m."""
 
 
 def _by_class(draw: Draw, fault: str, beside: float, half: float) -> Trial:
     """The bias of roofs, which is not that of the ground."""
-    world, rng = with_houses(draw), draw.rng
+    world, rng = with_houses(draw, 4 if "CLASSES" in fault else 2), draw.rng
     bias, more = float(rng.uniform(-0.4, 0.4)), float(rng.uniform(0.5, 1.0))
     dsm, reference = draw.form(added=bias), draw.form()
+    others = World.drawn(world.seed + 1).houses
     higher = replace(world, houses=tuple((*house[:4], house[4] + more) for house in world.houses))
 
     def run(heard: Heard) -> str:
@@ -436,8 +488,14 @@ def _by_class(draw: Draw, fault: str, beside: float, half: float) -> Trial:
         form = Form(world.utm(), 1.0, _moved((-half, -half, half, half), beside), datum="")
         transform, shape, x, y = cells_of(world, form)
         flat = replace(world, base=0.0, slope=(0.0, 0.0), relief=0.0)
-        kinds = np.where(flat.surface(x - beside, y) > 0.0, 6.0, 2.0)
-        paths["classes"] = store(draw.path("k.tif"), kinds, np.zeros(shape, bool), transform, form)
+        if "town" in fault:  # with its houses between the places of these
+            flat = replace(
+                flat, houses=tuple((x0 + 19, y0 + 11, x1 + 19, y1 + 11, 5.0) for x0, y0, x1, y1, _ in others)
+            )
+        turn = -1.0 if "turned" in fault else 1.0
+        kinds = np.where(flat.surface(turn * (x - beside), turn * y) > 0.0, 6.0, 2.0)
+        hidden = np.full(shape, "without" in fault)
+        paths["classes"] = store(draw.path("k.tif"), kinds, hidden, transform, form)
         found = stage(COMPAREDSM, heard, report=draw.path("r.html"), **paths).by_class
         roofs, ground = (found[name].bias if name in found else None for name in ("6", "2"))
         return _first(

@@ -122,6 +122,7 @@ class Form:
     """How a raster of a world is made: CRS, cell (m on the ground), what it covers (m from the middle), what its
     heights refer to and are counted in, errors, holes, and metadata.
 
+    ``turned`` multiplies true places, ``factor`` what is above the world's base; ``tilt`` is added from west to east.
     ``datum`` is "ellipsoid" (stated), "EGM96" (stated) or "" (not stated, above the ellipsoid). ``moved`` is added to
     true places, ``added`` to heights. ``unit`` "ft" counts in feet; it is stated where ``states_unit``. ``scaled``
     stores whole decimetres with a scale. ``fill`` is the value of holes, which is declared where ``declares``.
@@ -133,6 +134,9 @@ class Form:
     datum: str = "ellipsoid"
     moved: Tuple[float, float] = (0.0, 0.0)
     added: float = 0.0
+    turned: Tuple[float, float] = (1.0, 1.0)
+    factor: float = 1.0
+    tilt: float = 0.0
     sigma: float = 0.05
     unit: str = "m"
     states_unit: bool = True
@@ -163,7 +167,8 @@ def write(
     """Write a raster of a world's surface or ground, whose (rows, columns) heights were changed; gives its path."""
     transform, shape, x, y = cells_of(world, form)
     rng = np.random.default_rng([world.seed, seed])
-    values = changed(getattr(world, heights)(x - form.moved[0], y - form.moved[1])) + form.added
+    true = changed(getattr(world, heights)(form.turned[0] * (x - form.moved[0]), form.turned[1] * (y - form.moved[1])))
+    values = world.base + form.factor * (true - world.base) + form.added + form.tilt * x / SIDE_M
     values = values + form.sigma * rng.normal(size=shape)
     if form.datum == "EGM96":
         values = values - undulation(world.lon, world.lat)

@@ -67,7 +67,7 @@ class GateParameters(Parameters):
     least_class: float = 0.01  # share of the cells of a class that counts there
     narrow_m: float = 30.0  # of a class whose parts are houses, roads or crowns
     most_wide: float = 0.2  # of its cells that are in wider parts
-    least_raised: float = 0.05  # of the cells that stand above the open ground: a town or a wood
+    least_raised: float = 0.03  # of the cells that stand above the open ground: a town or a wood
     nothing_explained: float = 0.9  # of the variance, at least: other towns leave 0.91 to 1, the right ones 0.15 to 0.6
     least_shared: float = 0.65  # of the ground of the largest DSM that all dates have: two turned squares have 0.7
     least_year: int = 1957  # of the first satellite

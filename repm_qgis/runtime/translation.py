@@ -6,7 +6,7 @@ what is filled in (``"{0} tiles of up to {1} px"``), and its translation with th
 
 A text is compared with the templates, the most literal first; the contents of a field are translated in the same way,
 because sentences consist of phrases. Texts that no template fits stay as they are: paths, names; numbers take the
-decimal comma of a language that has one, but in lists, and where they have more decimals than metres need.
+decimal comma of a language that has one, but in lists and coordinates.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _FOLDER = DATA_FOLDER / "i18n"
 _FIELD = re.compile(r"\{(\d+)\}")
 _LETTERS = re.compile(r"[^\W\d_]{2}")
 _WORDS = re.compile(r"[^\W\d_]{2}[,;:]?\s+[^\W\d_]{2}")
-_DECIMAL = re.compile(r"(?<![\w.:/\\])(\d+)\.(\d{1,4})(?!\w|[.:/\\]\w)")
+_DECIMAL = re.compile(r"(?<![\w.:/\\])(\d{1,5})\.(\d{1,4})(?!\w|[.:/\\]\S)")
 _COMMA = ("de",)
 """Languages with a decimal comma."""
 _MOST_SPLITS, _MOST_TRIES = 12, 4000
