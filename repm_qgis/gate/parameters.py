@@ -53,10 +53,10 @@ class GateParameters(Parameters):
     displaced_gain: float = 0.8  # of the misfit, at most, after the shift; otherwise it explains nothing
     most_tilted_m: float = 1.0  # of the differences of two surfaces over their ground: real pairs have up to 0.3; and
     most_tilted_nmads: float = 2.0  # so many NMADs about the plane
-    least_relief_m: float = 0.5  # misfit to what another surface shows elsewhere: less is no question of the place; and
-    relief_noises: float = 4.0  # so many times the noise, by second differences over
+    least_relief_m: float = 0.7  # misfit to what another surface shows elsewhere: less is no question of the place; and
+    relief_noises: float = 3.0  # so many times the noise, by second differences over
     fits_elsewhere: float = 0.65  # of that misfit, at its place: real pairs have 0.1 to 0.5, other towns 0.7 to 1.1
-    noise_lag_m: float = 8.0
+    noise_lag_m: float = 4.0
     least_far_m: float = 1.0  # of a difference of two dates from the usual one; and
     far_spreads: float = 5.0  # so many standard deviations of it: real pairs have 1 to 20 % of such cells
     least_burst_m: float = 10.0  # of heights in one piece, from the others' difference to a reference; and far_spreads
