@@ -67,8 +67,8 @@ class HeightMapRecord(Record):
     ``vertical_parallax_px`` the largest that the pinhole model leaves, ``table_error_m`` the largest error of the
     interpolated triangulation. A map of several views (COLMAP) also states the ``sources`` it was matched with, all
     ``views`` of its frame, the ground ``bounds`` of that frame, and whether these are only a ``part`` of the tile.
-    ``cost`` is what the pair was matched by, ``intensity`` or ``learned``, and ``alike`` the share of the ground, 0..1, on
-    which the intensities of its images agree, where this is little.
+    ``cost`` is what the pair was matched by, ``intensity`` or ``learned``, and ``alike`` the share of the ground, 0..1,
+    on which the intensities of its images agree, where this is little.
     ``ground`` are the tile's bounds when it was matched, where a registration has moved them since; None where not.
     ``offsets`` (m) are to be added to the file's heights, so that they agree with those of other pairs: rows of nodes
     that are evenly spaced from the first to the last pixel; () for none.

@@ -33,7 +33,7 @@ class HeightLayer:
     """A height map on the cells: ``height`` (m, NaN = not matched) with its ``score``, ``background`` (m, NaN = none)
     where an occlusion hides the cell, the height of one px of disparity, and the ``spacing`` of pixels on the ground
     (m). ``partial`` cells are covered by matched points to less than half, ``partial_background`` by the background's
-    (None: no cells are). ``alike``: of a map by learned features, how alike its images are, 1 for the most alike ones."""
+    (None: no cells are). ``alike``: of a map by learned features, how alike its images are, 1 for the most alike."""
 
     height: Floats
     score: Floats
