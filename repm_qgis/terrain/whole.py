@@ -27,8 +27,8 @@ def coarse_of(search: Search, parts: Sequence[Part], stiffness: float, voids: st
         weighted[cut], weights[cut], known[cut] = *part.sums, part.known
     if not weights.any():
         raise EmptyResultError(
-            f"No cell of '{search.surface.path}' is ground: choose a smaller LARGEST or a larger SLOPE, or check that "
-            "the DSM has heights."
+            f"No cell of '{search.surface.path}' is ground: check that the DSM has heights, or make its terrain by "
+            "repm:dtm with a smaller LARGEST or a larger SLOPE."
         )
     parameters = search.parameters.ground
     cell = search.surface.cell * (1 << search.level)
