@@ -29,7 +29,7 @@ class OffsetParameters(Parameters):
     most_left_m: float = 1.0  # spread of the differences of one surface: DSMs of WorldView-3 have 0.2 to 0.4 m, and
     most_left_cells: float = 1.5  # at most 0.8 cells; more are of another relief, where they leave more than this
     unexplained: float = 0.5  # of the heights' own spread: DSMs of WorldView-3 leave 0.02 to 0.25
-    most_alike_scaled: float = 1.3  # times as high, of reliefs that are alike: two dates of a town have 1.16
+    most_alike_scaled: float = 1.2  # times as high, of reliefs that are alike: two dates of a town have 1.16
     huber: float = 1.345  # standard deviations: 95 % efficiency (Huber and Ronchetti, Robust Statistics)
     reweightings: int = 30
 
