@@ -148,7 +148,7 @@ class Surface:
             self._progress.warn(
                 Finding(
                     "edit-without-heights",
-                    f"Edit {edit.number}: cells that have no heights around them, and stay without one: {count - reached}.",
+                    f"Edit {edit.number}: cells without heights around them, which stay empty: {count - reached}.",
                 )
             )
         return Applied(count)
