@@ -19,7 +19,7 @@ from ..runtime.progress import Part, Progress
 from .classes import ErrorsByClass
 from .clouds import Surface
 from .coregistration import Alignment, Patch, align, block_means, moved_by
-from .grids import Grid, HeightWarper, cell_metres, overlap
+from .grids import Grid, HeightWarper, cell_metres, cell_sides, overlap
 from .icp import shift_onto
 from .metrics import ErrorCollector, HeightMetrics
 from .parameters import EVALUATION, ComparisonParameters, EvaluationParameters
@@ -82,7 +82,7 @@ def compare(
     grid, source = Grid.of(reference), Grid.of(dsm)
     cell, common = cell_metres(grid), overlap(source, grid)
     warper = HeightWarper(dsm, grid, parameters.comparison)
-    alignment = Alignment("none")
+    alignment, warnings = Alignment("none"), warper.warnings
     if method != "none":
         part = Part(progress, 0.0, 0.25, "Alignment")
         patches = _patches(warper, reference, common, part, parameters.comparison)
@@ -94,7 +94,12 @@ def compare(
             ours, theirs = Surface(warper, grid, clouds[0]), Surface(HeightWarper(reference, grid), grid, clouds[1])
             windows = sample_windows(grid, common, parameters.comparison)
             shift = _shift_of_points(ours, theirs, windows, alignment, progress.check_cancelled, parameters)
+            apart = float(np.hypot(shift[0] - alignment.dx, shift[1] - alignment.dy))
             alignment = moved_by(method, patches, cell, shift, parameters.coregistration)
+            if apart > parameters.icp.most_apart_sides * max(cell_sides(grid)):
+                text = f"ALIGN=icp moves the DSM {apart:.2f} m farther to the side than ALIGN=3d"
+                remedy = "what is tilted, bent or has grown leads points astray, so compare with 3d"
+                warnings = [*warnings, Finding("icp-apart", f"{text}: {remedy}.", "doubt")]
     by_class = ErrorsByClass(classes, grid, thresholds) if classes is not None else None
     work = _Blocks(warper, reference, cell, alignment, thresholds, by_class, parameters.comparison)
     work.run(Part(progress, 0.25, 1.0, "Comparison"), error)
@@ -123,7 +128,7 @@ def compare(
         histogram=work.histogram,
         thumbnails=work.thumbnails.pictures,
         thumbnail_factor=work.thumbnails.factor,
-        warnings=warper.warnings,
+        warnings=warnings,
     )
 
 

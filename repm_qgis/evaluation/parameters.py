@@ -55,6 +55,7 @@ class IcpParameters(Parameters):
     reaches: Tuple[float, ...] = (8.0, 4.0, 2.0)  # for the nearest point, in distances between points: one by one
     iterations: int = 20  # for each reach, at most
     converged_m: float = 0.0005  # a step as small as this is the last
+    most_apart_sides: float = 0.4  # of the reference's cells, between this shift and that of slopes; sound DSMs: 0.15
 
 
 @dataclass(frozen=True)

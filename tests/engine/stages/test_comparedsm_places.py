@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -54,6 +56,18 @@ def test_a_sound_dsm_is_good(tmp_path, noise, align):
 )
 def test_another_relief_is_named(tmp_path, noise, wrong):
     assert "relief-other" in ids_of(tmp_path, wrong(hills() + noise), "vertical")
+
+
+def test_points_that_a_tilt_leads_astray_are_named(tmp_path, noise):
+    """Planes of points that are tilted against those of the reference fit better farther on."""
+    rows, columns = np.indices(hills().shape).astype(float)
+    town = 300 + 3 * np.sin(columns / 40) * np.cos(rows / 30)
+    down, right = np.mgrid[-7:7, -8:8]
+    for number, (top, left) in enumerate(product(range(10, 220, 30), repeat=2)):
+        town[top : top + 14, left : left + 16] += 7 + 0.4 * (right, -right, down, -down)[number % 4]
+    assert "icp-apart" not in ids_of(tmp_path, town + noise, "icp", reference=town)
+    found = ids_of(tmp_path, town + noise + 4 * columns / 240, "icp", reference=town)
+    assert "icp-apart" in found
 
 
 @pytest.mark.parametrize("align", ("none", "vertical"))
