@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks import towns
 from benchmarks.runner import ROOT, earlier, few, pipeline, say, stage
-from benchmarks.scenes import SHARED, Scene, absent, default, real, simulated, whu_tlc, zy3_fine
+from benchmarks.scenes import SHARED, Scene, absent, default, not_measured, real, simulated, whu_tlc, zy3_fine
 from benchmarks.tables import Details, Section, table
 from benchmarks.views import where_both
 from repm_qgis.contracts.stages import DSMFUSE
@@ -199,7 +199,7 @@ def _compared(scene: Scene, tree: Path) -> List[float]:
 def whu() -> List[str]:
     scenes = few(whu_tlc())
     if not scenes:
-        return [f"whu_tlc was not measured: absent from '{SHARED}'."]
+        return [not_measured("whu_tlc")]
     rows: List[List[object]] = []
     with tempfile.TemporaryDirectory() as place:
         trees = [("now", ROOT)]
@@ -246,7 +246,7 @@ def _both(whole: np.ndarray, part: np.ndarray) -> List[float]:
 def more() -> List[str]:
     sets = few(sorted((part for part in west().items() if len(part[1]) > 2), key=lambda part: len(part[1])))
     if not sets:
-        return [f"jax_068 was not measured: absent from '{SHARED}'."]
+        return [not_measured("jax_068")]
     short, rows = [], []
     for label, names in sets:
         say(f"more, {label} ...")

@@ -13,7 +13,7 @@ from osgeo import ogr
 
 from benchmarks import towns
 from benchmarks.runner import few, is_quick, pipeline, say, stage
-from benchmarks.scenes import CACHE, SHARED, made_once
+from benchmarks.scenes import CACHE, SHARED, made_once, not_measured
 from benchmarks.tables import Details, table
 from benchmarks.two_dates import KINDS, Change, dates
 from repm_qgis.contracts.results import ChangeResult
@@ -172,7 +172,7 @@ def _simulated() -> List[str]:
 
 def _real() -> List[str]:
     if not _TOWN.exists():
-        return [f"jax_068 was not measured: absent from '{SHARED}'."]
+        return [not_measured("jax_068")]
     folders = {}
     for name, numbers in islice(_VIEWS.items(), 2 if is_quick() else None):
         numbers = " ".join(numbers.split()[: 2 if is_quick() else None])

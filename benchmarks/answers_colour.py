@@ -16,7 +16,7 @@ from scipy import ndimage
 from benchmarks import towns
 from benchmarks.colour_scene import WEIGHTS, make_colour_scene
 from benchmarks.runner import ROOT, is_quick, measured, pipeline, stage, there
-from benchmarks.scenes import CACHE, SHARED, made_once, quick_size
+from benchmarks.scenes import CACHE, SHARED, made_once, not_measured, quick_size
 from benchmarks.tables import table
 from repm_qgis.contracts.arrays import Window
 from repm_qgis.contracts.options import DsmFuseOptions
@@ -43,7 +43,7 @@ def colours() -> List[str]:
     """Simulated multispectral images first: there the true colours are known."""
     texts = [*_sharpening()]
     if not _TOWN.exists():
-        return [*texts, f"jax_068 was not measured: absent from '{SHARED}'."]
+        return [*texts, not_measured("jax_068")]
     return [*texts, *_town()]
 
 

@@ -17,7 +17,7 @@ from scipy import ndimage
 from benchmarks.answers_colour import _BLOCK, _CLEAR, _bands, _blocks, _gradient, shift_of
 from benchmarks.colour_scene import make_colour_scene
 from benchmarks.runner import ROOT, is_quick, measured, pipeline, stage
-from benchmarks.scenes import CACHE, SHARED, made_once, quick_size
+from benchmarks.scenes import CACHE, SHARED, made_once, not_measured, quick_size
 from benchmarks.tables import Section, table
 from benchmarks.towns import quick_area
 from repm_qgis.contracts.arrays import Window
@@ -125,7 +125,7 @@ def _surface(scene: Scene, dsm: str) -> FinishedSurface:
 def town() -> List[str]:
     """WorldView-3: sharpness and place against the images themselves, through GDAL."""
     if not _TOWN.exists():
-        return [f"jax_068 was not measured: absent from '{SHARED}'."]
+        return [not_measured("jax_068")]
     scene, dsm = _reconstructed()
     with tempfile.TemporaryDirectory() as work:
         rows = _sharpness(scene, dsm, work)

@@ -134,6 +134,11 @@ def middle_of(reference: str) -> Dict[str, object]:
     return {"extent": [west + x, south + y, east - x, north - y], "extent_crs": dataset.GetProjection()}
 
 
+def not_measured(name: str) -> str:
+    """The sentence that stands for a part whose folder of data is not there."""
+    return f"{name} was not measured: absent from '{SHARED}'."
+
+
 def absent(*names: str) -> List[str]:
     """A sentence about real scenes that are not there."""
     missing = [name for name in names or _REAL if not real(name)]

@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.confidence import errors
 from benchmarks.runner import ROOT, Failed, few, is_quick, made_by, say
-from benchmarks.scenes import CACHE, SHARED, made_once
+from benchmarks.scenes import CACHE, SHARED, made_once, not_measured
 from benchmarks.simulated.dates import WORLDVIEW3_JACKSONVILLE, DatedSpec, make_dated_scene
 from benchmarks.simulated.parameters import DATED, REAL
 from benchmarks.tables import Section, table
@@ -71,7 +71,7 @@ def seasons() -> List[str]:
 
 def draws() -> List[str]:
     if not _TOWN.exists():
-        return [f"jax_068 was not measured: absent from '{SHARED}'."]
+        return [not_measured("jax_068")]
     rows: List[List[object]] = []
     sets = list(_SETS.items())[:_LEARNED]
     for label, names in few([*sets[2:], *sets[:2]]):  # the small area of a quick run has too few ties of the first two
@@ -87,7 +87,7 @@ def draws() -> List[str]:
 def stated() -> List[str]:
     """How many errors are larger than what is stated of them."""
     if not _TOWN.exists():
-        return [f"jax_068 was not measured: absent from '{SHARED}'."]
+        return [not_measured("jax_068")]
     rows: List[List[object]] = []
     for label, names in few(sorted(_SETS.items(), key=lambda item: len(item[1]))):
         for cost in (INTENSITY, "auto"):
@@ -108,7 +108,7 @@ def stated() -> List[str]:
 def pairs() -> List[str]:
     """All pairs of the real town by both costs: the mean and the quartiles."""
     if not _TOWN.exists():
-        return [f"jax_068 was not measured: absent from '{SHARED}'."]
+        return [not_measured("jax_068")]
     numbers = sorted(path.name.split("_")[2] for path in _TOWN.glob("JAX_068_*_RGB.tif"))
     shares: Dict[str, List[float]] = {INTENSITY: [], "auto": []}
     for pair in few(combinations(numbers, 2)):

@@ -19,7 +19,7 @@ from scipy import ndimage
 
 from benchmarks import season_scenes
 from benchmarks.runner import ROOT, earlier, few, is_quick, made_by, pipeline, say, stage
-from benchmarks.scenes import CACHE, SHARED, default, made_once, middle_of, real
+from benchmarks.scenes import CACHE, SHARED, default, made_once, middle_of, not_measured, real
 from benchmarks.simulated.dates import WORLDVIEW3_JACKSONVILLE, DatedSpec, make_dated_scene
 from benchmarks.simulated.parameters import DATED, REAL, EffectParameters
 from benchmarks.tables import Section, table
@@ -165,7 +165,7 @@ def _scores(dsm: str, truth: Truth) -> List[float]:
 
 def towns() -> List[str]:
     if not _FOLDER.exists():
-        return [f"jax_068 was not measured: absent from '{SHARED}'."]
+        return [not_measured("jax_068")]
     names = _names()
     sets = [(str(count), names[:count]) for count in _COUNTS] + [("3, January", list(_JANUARY))]
     return [
@@ -228,7 +228,7 @@ def quick_area() -> Dict[str, Any]:
 
 def limits() -> List[str]:
     if not _FOLDER.exists():
-        return [f"jax_068 was not measured: absent from '{SHARED}'."]
+        return [not_measured("jax_068")]
     with opened(_LIDAR.heights) as dataset:
         truth, cell = read(dataset), dataset.GetGeoTransform()[1]
     lost, names = _mid_air(truth, cell), _names()
@@ -288,7 +288,7 @@ def _run(names: Sequence[str], contrast: float) -> List[float]:
 
 def chance() -> List[str]:
     if not _FOLDER.exists():
-        return [f"jax_068 was not measured: absent from '{SHARED}'."]
+        return [not_measured("jax_068")]
     names, rows = _names(), []
     for label, chosen, count in few((("2", names[:2], 8), ("3, January", list(_JANUARY), 8), ("19", names, 4))):
         say(f"chance, {label} ...")

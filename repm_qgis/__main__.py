@@ -9,9 +9,9 @@ from .runtime.standard_input import VARIABLE, Beginning, watched
 
 if __name__ == "__main__":  # imports take a moment, and a cancel may come before the engine can clean up
     if {"-h", "--help"} & set(sys.argv[1:]):
-        from .command_line import main as told
+        from .command_line import main as run_command
 
-        sys.exit(told(sys.argv[1:]))
+        sys.exit(run_command(sys.argv[1:]))
     if os.environ.get(VARIABLE):
         watched(sys.argv[2:] == ["-"])
     import signal

@@ -14,7 +14,8 @@ import os
 import re
 import shutil
 import sys
-from typing import Any, List, Optional, Sequence, TextIO, Type, get_args, get_origin
+from functools import cache
+from typing import Any, List, Match, Optional, Sequence, TextIO, Tuple, Type, get_args, get_origin
 
 from . import __version__
 from .contracts import options as options_of_stages
@@ -119,8 +120,7 @@ def _help(stage: str, options: Type[Options], name: str) -> str:
 def _said(owner: Type[Options], name: str) -> str:
     """What the docstring of a class says of an option: the words behind its name, or behind the last of several names,
     up to the next option or to the end of the sentence."""
-    text = " ".join((owner.__doc__ or "").split())
-    named = list(re.finditer(rf"(?:(?<=[.;,:] )|(?<=and ))``({'|'.join(owner.names())})``", text))
+    text, named = _named(owner)
     for index, each in enumerate(named):
         if each[1] == name:
             ends = [*(other.start() for other in named[index + 1 :]), len(text)]
@@ -132,6 +132,13 @@ def _said(owner: Type[Options], name: str) -> str:
                 return _said(getattr(options_of_stages, elsewhere[1]), name)
             return re.sub(r"^(is|are|names?) |^[:,] *|[.,;]$|[,;]? and$", "", re.sub(r"^\([^)]*\):? ", "", said))
     return ""
+
+
+@cache
+def _named(owner: Type[Options]) -> Tuple[str, List[Match[str]]]:
+    """The docstring of a class in one line, and where it says something of an option, by the option's name."""
+    text = " ".join((owner.__doc__ or "").split())
+    return text, list(re.finditer(rf"(?:(?<=[.;,:] )|(?<=and ))``({'|'.join(owner.names())})``", text))
 
 
 def _plain(text: str) -> str:

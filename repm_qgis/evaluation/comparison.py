@@ -82,7 +82,7 @@ def compare(
     grid, source = Grid.of(reference), Grid.of(dsm)
     cell, common = cell_metres(grid), overlap(source, grid)
     warper = HeightWarper(dsm, grid, parameters.comparison)
-    alignment, warnings = Alignment("none"), warper.warnings
+    alignment, astray = Alignment("none"), []
     if method != "none":
         part = Part(progress, 0.0, 0.25, "Alignment")
         patches = _patches(warper, reference, common, part, parameters.comparison)
@@ -99,7 +99,7 @@ def compare(
             if apart > parameters.icp.most_apart_sides * max(cell_sides(grid)):
                 text = f"ALIGN=icp moves the DSM {apart:.2f} m farther to the side than ALIGN=3d"
                 remedy = "what is tilted, bent or has grown leads points astray, so compare with 3d"
-                warnings = [*warnings, Finding("icp-apart", f"{text}: {remedy}.", "doubt")]
+                astray.append(Finding("icp-apart", f"{text}: {remedy}.", "doubt"))
     by_class = ErrorsByClass(classes, grid, thresholds) if classes is not None else None
     work = _Blocks(warper, reference, cell, alignment, thresholds, by_class, parameters.comparison)
     work.run(Part(progress, 0.25, 1.0, "Comparison"), error)
@@ -128,7 +128,7 @@ def compare(
         histogram=work.histogram,
         thumbnails=work.thumbnails.pictures,
         thumbnail_factor=work.thumbnails.factor,
-        warnings=warnings,
+        warnings=[*warper.warnings, *astray],
     )
 
 

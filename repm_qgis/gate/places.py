@@ -33,9 +33,7 @@ def displaced_by(
         found = align("3d", patches, cell, check)
         by = float(np.hypot(found.dx, found.dy))
         # By whole cells: what lies between them is smoother, and noise would fit better there.
-        whole = replace(
-            found, **{name: round(getattr(found, name) / side) * side for name, side in zip(("dx", "dy"), cell)}
-        )
+        whole = replace(found, dx=round(found.dx / cell[0]) * cell[0], dy=round(found.dy / cell[1]) * cell[1])
         if by > max(parameters.most_displaced_m, parameters.most_displaced_cells * max(map(abs, cell))):
             before, after = (
                 np.concatenate([(surface - other)[np.isfinite(surface - other)] for surface, other in pairs])

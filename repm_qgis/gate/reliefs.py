@@ -3,7 +3,7 @@ elsewhere, and without a tilt."""
 
 from __future__ import annotations
 
-from typing import List, Tuple
+from typing import Iterable, List, Tuple
 
 import numpy as np
 
@@ -65,15 +65,17 @@ def date_findings(
     """What contradicts that the DSMs of two dates show one ground: ``heights`` of both (rows, columns) on the same
     cells of this side, m, after the alignment; ``beside``: the first one fits better so many metres beside its place.
     """
-    found = [
-        Finding(each.id, f"Of the DSM '{path}': {each}", each.level)
-        for each in relief_findings(heights[0], heights[1], (cell_m, cell_m), other, beside)
-    ]
+    found = of_dsm(path, relief_findings(heights[0], heights[1], (cell_m, cell_m), other, beside))
     if beside and not found:
         text = f"'{path}' fits to '{other}' better {beside:.1f} m beside its place"
         remedy = "check the CRS and the place of both, or set ALIGN to 3d"
         found.append(Finding("dates-displaced", f"{text}: {remedy}.", "doubt"))
     return found
+
+
+def of_dsm(path: str, findings: Iterable[Finding]) -> List[Finding]:
+    """The same findings, which say of which of several DSMs they are."""
+    return [Finding(each.id, f"Of the DSM '{path}': {each}", each.level) for each in findings]
 
 
 def block_findings(

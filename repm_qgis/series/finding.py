@@ -24,7 +24,7 @@ from ..evaluation.comparison import Thumbnails
 from ..evaluation.coregistration import Alignment
 from ..evaluation.grids import Grid
 from ..gate.places import known_m2, partial_finding
-from ..gate.reliefs import date_findings, far_share
+from ..gate.reliefs import date_findings, far_share, of_dsm
 from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.frames import flat_crs
 from ..geometry.vertical import TAG
@@ -224,7 +224,7 @@ class _Work:
             if date:
                 found += date_findings(own.path, first.path, (theirs, drawn["0"]), side, self._beside[date])
                 said += verdict.of_changed(far_share(theirs, drawn["0"]))
-            found += [Finding(each.id, f"Of the DSM '{own.path}': {each}", each.level) for each in said]
+            found += of_dsm(own.path, said)
         return found
 
     def _offset_warnings(self, errors: DateErrors) -> List[Finding]:
