@@ -212,7 +212,7 @@ def test_what_cannot_be_used_is_shortage_as_error(scene, tmp_path):
         (ImageError, "does not exist", {"dsm": str(tmp_path / "none.tif")}),
         (ImageError, "reproject it first, such as to EPSG:32", {"dsm": degrees}),
         (ImageError, "does not have the cells of the DSM", {"dsm": dsm, "confidence": other}),
-        (EmptyResultError, "choose a smaller LARGEST", {"dsm": empty}),
+        (EmptyResultError, "with a smaller LARGEST", {"dsm": empty}),
         (OptionError, "or SCENE, and not both", {"dsm": dsm, "scene": "s.json"}),
         (OptionError, "or SCENE, and not both", {}),
         (OptionError, "must be empty where SCENE is given", {"scene": "s.json", "confidence": other}),
