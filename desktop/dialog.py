@@ -6,6 +6,7 @@ The widgets stay QGIS's: the graphical modeler and the batch dialog need them as
 
 from __future__ import annotations
 
+import os
 from contextlib import suppress
 from typing import Callable, Mapping, Sequence
 
@@ -21,6 +22,7 @@ from qgis.core import (
 from qgis.PyQt.QtCore import QCoreApplication, QEvent, QPoint
 from qgis.PyQt.QtWidgets import (
     QAbstractSpinBox,
+    QCheckBox,
     QComboBox,
     QGroupBox,
     QLabel,
@@ -33,13 +35,15 @@ from qgis.PyQt.QtWidgets import (
 from qgis.utils import iface
 
 from ..processing_provider import settings, words
+from ..processing_provider.kept import PLACES, folder_for_products, in_folder, is_temporary, propose_workspace
 from ..processing_provider.last_scene import last_scene
-from ..processing_provider.values import is_empty
+from ..processing_provider.values import any_paths, is_empty
 from ..repm_qgis.contracts.documents import JsonMapping
 from ..repm_qgis.contracts.options import PRESETS
 from .next_step import STEPS, push_message
 
 _OF_SETTINGS = (*settings.COLMAP, "CLUSTER")  # the options page has these, for all runs
+_FOLDERS = set("/\\:")
 _LEAST_GROUPS = 3  # at least so many parameters below a heading
 
 
@@ -111,6 +115,22 @@ class Panel(ParametersPanel):
         self._head()
         self._preset = "none"
         self._follow("PRESET", self._fill_in)
+        self._proposed = ""
+        if "WORKSPACE" in self.wrappers:
+            self._follow("IMAGES", self._propose_workspace)
+        outputs = (each.name() for each in self.algorithm().parameterDefinitions() if each.isDestination())
+        lines = {name: self._line_of(name) for name in outputs}
+        self._skipped: set[str] = set()
+        self._lines = {name: line for name, line in lines.items() if line is not None}
+        for line in self._lines.values():  # QGIS does not tell of what is typed into them
+            line.textChanged.connect(lambda *_: self._show_places())
+        for name in PLACES:
+            self._follow(name, self._show_places)
+
+    def createProcessingParameters(self, *how: object, **named: object) -> dict[str, object]:
+        typed = {name for name, line in self._lines.items() if line.text().strip() and not _FOLDERS & set(line.text())}
+        parameters = super().createProcessingParameters(*how, **named)
+        return in_folder(self.algorithm(), parameters, typed, self.processing_context)
 
     def setParameters(self, parameters: Mapping[str, object]) -> None:
         """QGIS opens each file of a list as a layer, and drops those that are no layers, such as scenes and RPCs."""
@@ -241,6 +261,33 @@ class Panel(ParametersPanel):
         scene = last_scene(self.algorithm().name())
         if scene:
             self._set("SCENE", scene)
+
+    def _propose_workspace(self) -> None:
+        """A workspace that lasts, unless the user has chosen one."""
+        if self._value("WORKSPACE") not in (None, "", QgsProcessing.TEMPORARY_OUTPUT, self._proposed):
+            return
+        self._proposed = propose_workspace(any_paths(self._value("IMAGES"), self.processing_context, only_named=True))
+        self._set("WORKSPACE", self._proposed or QgsProcessing.TEMPORARY_OUTPUT)
+
+    def _line_of(self, name: str) -> QLineEdit | None:
+        """The line of a destination."""
+        return self.wrappers[name].wrappedWidget().findChild(QLineEdit) if name in self.wrappers else None
+
+    def _folder(self) -> str:
+        given = {name: self._value(name) for name in PLACES if name in self.wrappers}
+        return folder_for_products(self.algorithm(), given, self.processing_context)
+
+    def _show_places(self) -> None:
+        """Show where products without a name go. A product that was skipped and gets a name is loaded, as others."""
+        folder = self._folder()
+        text = self.tr("[Save in {folder}]").format(folder=os.path.basename(folder)) if folder else ""
+        for name, line in self._lines.items():
+            box = self.wrappers[name].wrappedWidget().findChild(QCheckBox)
+            if name in self._skipped and line.text() and box is not None:
+                box.setChecked(True)
+            if text and name not in PLACES and is_temporary(self._value(name)):
+                line.setPlaceholderText(text)
+        self._skipped = {name for name in self._lines if is_empty(self._value(name))}
 
     def _together(self, names: Sequence[str]) -> QWidget:
         """Move consecutive parameters into a widget, to show and hide them together.

@@ -792,6 +792,10 @@
         <source>Choose a scene first</source>
         <translation>Zuerst eine Szene wählen</translation>
     </message>
+    <message>
+        <source>[Save in {folder}]</source>
+        <translation>[In {folder} speichern]</translation>
+    </message>
 </context>
 <context>
     <name>Pipeline</name>

@@ -333,7 +333,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         self, parameters: JsonMapping, context: QgsProcessingContext, feedback: QgsProcessingFeedback
     ) -> JsonObject:
         def processed() -> JsonObject:
-            with in_workspace(self, parameters, context) as placed:
+            with in_workspace(self, parameters, self._inputs, context) as placed:
                 return self._processed(placed, context, feedback)
 
         return engine.in_python_thread(processed)

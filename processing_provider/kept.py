@@ -1,12 +1,12 @@
-"""Products without a name from the user: the user's own workspace keeps them, instead of QGIS's temporary folder. So
-all layers of a run still exist when the project is opened again.
+"""Products without a name from the user: the workspace keeps them, or the folder of the DSM that they come from, not
+QGIS's temporary one. So all layers of a run still exist when the project is opened again.
 """
 
 from __future__ import annotations
 
 import os
 from contextlib import contextmanager
-from typing import Iterator, Mapping, Optional
+from typing import Container, Iterator, Mapping, Optional, Sequence
 
 from qgis.core import (
     QgsProcessing,
@@ -14,18 +14,28 @@ from qgis.core import (
     QgsProcessingContext,
     QgsProcessingOutputLayerDefinition,
     QgsProcessingUtils,
+    QgsProject,
     QgsProperty,
 )
 
-from ..repm_qgis.contracts.products import Product, products_of
+from ..repm_qgis.contracts.products import SCENE, Product, products_of
+from ..repm_qgis.names import images_name
+from ..repm_qgis.scene import origin
+from .values import any_paths, is_empty
 
-_NOT_PLACED = ("workspace", "output_scene", "heights")  # what says where the workspace is, or lies in it if left out
-_AFTER_RUN = {
+_NOT_PLACED = ("epmfit.workspace", "reconstruct.heights")  # says where the workspace is; lies in it if left out
+_NAMES = {
     **{"pipeline": "dsm", "dsmfuse": "dsm", "epmfit": "cameras", "errormap": "equivalent_error"},
     **{"refine": "refinement", "reconstruct": "reconstruction", "register": "registration"},
 }
-"""What products of one name in several stages are called after. The engine's own ``tiles.gpkg`` and ``report.html`` are
-those of the last run, and are replaced by the next."""
+"""What products of one name in several stages are called after, where they lie in the workspace. The engine's own
+``tiles.gpkg`` and ``report.html`` are those of the last run, and are replaced by the next."""
+_KINDS = {
+    **{"editdsm": "edited", "comparedsm": "comparison", "checkgcps": "points"},
+    **{"exportcameras": "cameras", "exportrpc": "rpcs"},
+}
+"""What all other stages call their products, where that is not their own name."""
+PLACES = ("WORKSPACE", "OUTPUT_SCENE", "SCENE", "DSM", "AFTER", "DSMS", "SCENES")
 _promised: set[str] = set()  # places of runs that are under way
 
 
@@ -37,45 +47,130 @@ def is_lasting(path: str) -> bool:
 
 @contextmanager
 def in_workspace(
-    algorithm: QgsProcessingAlgorithm, parameters: Mapping[str, object], context: QgsProcessingContext
+    algorithm: QgsProcessingAlgorithm,
+    parameters: Mapping[str, object],
+    inputs: Mapping[str, object],
+    context: QgsProcessingContext,
 ) -> Iterator[dict[str, object]]:
     """The parameters, with temporary products in the workspace where the user has named one: ``dsm.tif``, or
-    ``dsm_2.tif`` where the first is taken, so that nothing is replaced that an earlier run has made."""
-    places: dict[str, str] = {}
-    workspace = _workspace(algorithm, parameters, context)
-    if workspace:
-        names = {
-            each.option.upper(): _name(algorithm, each)
-            for each in products_of(algorithm.name())
-            if each.option not in _NOT_PLACED and _is_temporary(parameters.get(each.option.upper()))
-        }
-        places = _free(workspace, names)
+    ``dsm_2.tif`` where the first is taken, so that nothing is replaced that an earlier run has made. ``inputs`` are the
+    engine's options."""
+    places = _places(algorithm, parameters, inputs, context) if algorithm.name() in _NAMES else {}
     _promised.update(places.values())
     try:
-        yield {**parameters, **{name: _at(path, parameters[name]) for name, path in places.items()}}
+        yield {**parameters, **{name: moved_to(path, parameters[name]) for name, path in places.items()}}
     finally:
         _promised.difference_update(places.values())
 
 
-def _workspace(
+def in_folder(
+    algorithm: QgsProcessingAlgorithm,
+    parameters: Mapping[str, object],
+    typed: Container[str],
+    context: QgsProcessingContext,
+) -> dict[str, object]:
+    """A dialog's parameters, with products in the workspace or beside the surface that they are made of: those without
+    a name, which a command leaves temporary, and those whose name was ``typed`` without a folder, which QGIS puts into
+    one for all projects. Reads the project: main thread only."""
+    inputs = _named(parameters, context)
+    places = _places(algorithm, parameters, inputs, context) if algorithm.name() not in _NAMES else {}
+    folder = _place(algorithm, parameters, inputs, context)[0]
+    for name, value in parameters.items() if folder else ():
+        if name in typed and name not in PLACES and not is_temporary(value):
+            sink = _sink(value)
+            path = sink.staticValue() if sink is not None else value
+            places[name] = os.path.join(folder, os.path.basename(str(path)))
+    return {**parameters, **{name: moved_to(path, parameters[name]) for name, path in places.items()}}
+
+
+def folder_for_products(
     algorithm: QgsProcessingAlgorithm, parameters: Mapping[str, object], context: QgsProcessingContext
 ) -> str:
-    """The user's own folder in which a stage works, its scene's too; "" where it works in temporary ones."""
-    for name in ("WORKSPACE", "OUTPUT_SCENE", "SCENE") if algorithm.name() in _AFTER_RUN else ():
-        if algorithm.parameterDefinition(name) is not None:
-            given = algorithm.parameterAsString(parameters, name, context)
-            place = given if name == "WORKSPACE" else os.path.dirname(given)
-            return os.path.abspath(place) if given != QgsProcessing.TEMPORARY_OUTPUT and is_lasting(place) else ""
-    return ""
+    """Where a dialog with these parameters keeps products without a name, "" for QGIS's temporary folder. Reads the
+    project: main thread only."""
+    return _place(algorithm, parameters, _named(parameters, context), context)[0]
 
 
-def _name(algorithm: QgsProcessingAlgorithm, product: Product) -> tuple[str, str]:
-    """A product's name in the workspace, and its extension ("" for folders)."""
+def _named(parameters: Mapping[str, object], context: QgsProcessingContext) -> dict[str, object]:
+    return {name.lower(): any_paths(parameters.get(name), context, only_named=True) for name in PLACES}
+
+
+def _places(
+    algorithm: QgsProcessingAlgorithm,
+    parameters: Mapping[str, object],
+    inputs: Mapping[str, object],
+    context: QgsProcessingContext,
+) -> dict[str, str]:
+    """The places of products without a name, by parameter; none where they stay in QGIS's temporary folder."""
+    folder, surface = _place(algorithm, parameters, inputs, context)
+    names = {
+        each.option.upper(): _name(algorithm, each, surface)
+        for each in products_of(algorithm.name())
+        if f"{each.stage}.{each.option}" not in _NOT_PLACED
+        and each.form != SCENE
+        and is_temporary(parameters.get(each.option.upper()))
+    }
+    return _free(folder, names) if folder else {}
+
+
+def propose_workspace(images: Sequence[str]) -> str:
+    """A workspace in the project's folder, or in that of the images where the project has none; "" where nothing can be
+    written there. A scene of other images keeps its own."""
+    if not images:
+        return ""
+    folder = place_of("WORKSPACE", QgsProject.instance().homePath() or os.path.dirname(os.path.abspath(images[0])))
+    name, number = images_name(images), 1
+    path = place = os.path.join(folder, "repm", name) if folder else ""
+    own = [os.path.realpath(image) for image in images]
+    while os.path.lexists(path) and [os.path.realpath(each) for each in origin(f"{path}/scene.json")[1]] != own:
+        number += 1
+        path = f"{place}_{number}"
+    return path
+
+
+def place_of(name: str, path: str) -> str:
+    """The folder that a parameter's value stands for: the workspace, or that of a scene or surface; "" where it is a
+    temporary one, or one in which nothing can be written."""
+    folder = path if name == "WORKSPACE" else os.path.dirname(path)
+    if not path or path == QgsProcessing.TEMPORARY_OUTPUT or not is_lasting(folder):
+        return ""
+    above = folder
+    while above and not os.path.isdir(above) and os.path.dirname(above) != above:
+        above = os.path.dirname(above)
+    return os.path.abspath(folder) if os.access(above, os.W_OK) else ""
+
+
+def _place(
+    algorithm: QgsProcessingAlgorithm,
+    parameters: Mapping[str, object],
+    inputs: Mapping[str, object],
+    context: QgsProcessingContext,
+) -> tuple[str, str]:
+    """The folder for products without a name, "" for QGIS's temporary one, and the surface they come from, if any."""
+    for name in PLACES:
+        definition = algorithm.parameterDefinition(name)
+        if definition is not None and definition.isDestination() and not is_empty(parameters.get(name)):
+            return place_of(name, algorithm.parameterAsString(parameters, name, context)), ""
+        given = inputs.get(name.lower())
+        path = str((given[0] if isinstance(given, (list, tuple)) else given) if given else "")
+        if path:
+            is_scene = name in ("SCENE", "SCENES")
+            return place_of(name, path if os.path.exists(path) else ""), "" if is_scene else path
+    return "", ""
+
+
+def _name(algorithm: QgsProcessingAlgorithm, product: Product, surface: str) -> tuple[str, str]:
+    """A product's name in its folder, and its extension ("" for folders)."""
     definition = algorithm.parameterDefinition(product.option.upper())
     extension = "" if definition.type() == "folderDestination" else f".{definition.defaultFileExtension()}"
-    shared = product.option if product.option in ("report", "tiles", "tie_points") else ""
-    of_run = _AFTER_RUN[algorithm.name()]
-    return f"{of_run}_{shared}" if shared else product.style or product.option, extension
+    stage = algorithm.name()
+    if stage in _NAMES:
+        shared = product.option if product.option in ("report", "tiles", "tie_points") else ""
+        return f"{_NAMES[stage]}_{shared}" if shared else product.style or product.option, extension
+    kind = _KINDS.get(stage, stage)
+    part = "" if product.option in ("output", "folder", "rpc_folder", stage) else product.option
+    whose = os.path.splitext(os.path.basename(surface))[0] if surface else ""
+    return "_".join(filter(None, (whose, kind, part.replace(f"{kind}_", "")))), extension
 
 
 def _free(folder: str, names: Mapping[str, tuple[str, str]]) -> dict[str, str]:
@@ -93,12 +188,12 @@ def _sink(value: object) -> Optional[QgsProperty]:
     return value.sink if isinstance(value, QgsProcessingOutputLayerDefinition) else None
 
 
-def _is_temporary(value: object) -> bool:
+def is_temporary(value: object) -> bool:
     sink = _sink(value)
     return (sink.staticValue() if sink is not None else value) == QgsProcessing.TEMPORARY_OUTPUT
 
 
-def _at(path: str, value: object) -> object:
+def moved_to(path: str, value: object) -> object:
     """The value with another place; whether QGIS loads the layer, and where, stays."""
     if not isinstance(value, QgsProcessingOutputLayerDefinition):
         return path

@@ -209,6 +209,9 @@ class QgsProject(QtCore.QObject):
         super().__init__()
         self._layers, self._tree = {}, mock.MagicMock(name="layer tree")
         self._tree.findLayers.return_value = []
+
+    def homePath(self):
+        return ""
         self._tree.findLayer.return_value = None
 
     def mapLayers(self):

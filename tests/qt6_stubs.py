@@ -206,6 +206,9 @@ class QgsProcessingAlgorithm:
     def parameterDefinition(self, name):
         return next((each for each in self._parameters if each.name() == name), None)
 
+    def parameterAsString(self, parameters, name, context):
+        return str(parameters.get(name) or "")
+
     def outputDefinitions(self):
         return list(self._outputs)
 

@@ -9,6 +9,7 @@ import processing
 from processing.core.ProcessingConfig import ProcessingConfig
 from qgis.core import QgsApplication, QgsProcessingParameterDefinition
 from qgis.PyQt.QtCore import QEvent
+from qgis.PyQt.QtTest import QTest
 from qgis.PyQt.QtWidgets import (
     QAbstractSpinBox,
     QApplication,
@@ -76,8 +77,41 @@ def kept_while_shown():
     return states
 
 
+def line_of(panel, name):
+    return panel.wrappers[name].wrappedWidget().findChild(QLineEdit)
+
+
+def places():
+    """Where products go that have no name, and those with a name but no folder."""
+    dialog = opened("pipeline")
+    panel = dialog.mainWidget()
+    panel.setParameters({"IMAGES": PLAN["images"][:2]})
+    workspaces = [panel.wrappers["WORKSPACE"].parameterValue()]
+    panel.setParameters({"IMAGES": PLAN["images"]})
+    workspaces.append(panel.wrappers["WORKSPACE"].parameterValue())
+    QTest.keyClicks(line_of(panel, "CONFIDENCE"), "trust.tif")
+    given = panel.createProcessingParameters()["CONFIDENCE"]
+    found = {"typed": given.sink.staticValue(), "loaded": given.destinationProject is not None}
+    found["hint"] = line_of(panel, "OUTPUT").placeholderText()
+    picture(dialog, "workspace.png")
+    panel.setParameters({"WORKSPACE": PLAN["own"]})
+    panel.setParameters({"IMAGES": PLAN["images"][:2]})
+    workspaces.append(panel.wrappers["WORKSPACE"].parameterValue())
+    dialog.close()
+    dialog = opened("dtm")
+    panel = dialog.mainWidget()
+    panel.setParameters({"DSM": PLAN["dsm"]})
+    QTest.keyClicks(line_of(panel, "REPORT"), "trees")
+    given = panel.createProcessingParameters()
+    found["beside"] = [given["OUTPUT"].sink.staticValue(), given["HEIGHTS"].sink.staticValue(), given["REPORT"]]
+    found["terrain"] = line_of(panel, "OUTPUT").placeholderText()
+    dialog.close()
+    return {**found, "workspaces": workspaces}
+
+
 @guarded
 def look():
+    FOUND["places"] = places()
     dialog = opened("reconstruct")
     panel = dialog.mainWidget()
     FOUND["scene"] = panel.wrappers["SCENE"].parameterValue()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import pathlib
 import shutil
 
 import pytest
 
 from repm_qgis.contracts.options import PRESETS, PipelineOptions
+from repm_qgis.names import images_name
 
 pytestmark = pytest.mark.skipif(
     not (shutil.which("xvfb-run") and shutil.which("qgis")), reason="needs QGIS's desktop and xvfb-run ('make setup')"
@@ -22,11 +25,22 @@ def test_dialogs_offer_what_is_known_and_hide_what_does_not_matter(desktop_start
     names = sorted({name for preset in PRESETS.values() for name in preset})
     plan = {"presets": [*PRESETS, "none"], "names": [name.upper() for name in names]}
     plan["dialogs"] = ["pipeline", "mosaic", "reconstruct", "dsmfuse", "epmfit", "register", "change", "comparedsm"]
+    plan.update(images=sample.images, own=str(tmp_path / "own"), dsm=sample.truth)
     missing = [str(tmp_path / name) for name in ("a.rpb", "b.xml")]
     plan["lists"] = {"RPCS": missing, "SCENES": [fitted.scene], "FIXED": [fitted.scene, sample.truth]}
     settings = f"[repm]\nfirst_steps_shown=true\nlast_scenes={fitted.scene}\n"
     found = desktop_start("drive_dialog.py", plan, seconds=60, settings=settings)
     assert found["scene"] == fitted.scene
+    # Nothing goes to a temporary folder: what has no name or no folder is kept in the workspace, or beside the DSM.
+    places, folder = found["places"], pathlib.Path(sample.images[0]).parent
+    workspace = str(folder / "repm" / images_name(sample.images))
+    assert places["workspaces"] == [workspace, workspace, plan["own"]]
+    assert (places["typed"], places["loaded"]) == (os.path.join(workspace, "trust.tif"), True)
+    assert places["hint"] == f"[Save in {pathlib.Path(workspace).name}]"
+    beside = [os.path.join(os.path.dirname(sample.truth), name) for name in ("truth_dtm.tif", "truth_dtm_heights.tif")]
+    assert places["beside"][:2] == beside
+    assert places["beside"][2].startswith(os.path.join(os.path.dirname(sample.truth), "trees"))
+    assert places["terrain"] == f"[Save in {pathlib.Path(sample.truth).parent.name}]"
     # COLMAP's options are on the options page, and come to the dialog where a run's value is another one.
     assert (found["usual"], found["differs"], found["given"]) == ([], ["WINDOW_RADIUS"], 7)
     assert found["set"] == [9, []]
