@@ -209,10 +209,10 @@ class QgsProject(QtCore.QObject):
         super().__init__()
         self._layers, self._tree = {}, mock.MagicMock(name="layer tree")
         self._tree.findLayers.return_value = []
+        self._tree.findLayer.return_value = None
 
     def homePath(self):
         return ""
-        self._tree.findLayer.return_value = None
 
     def mapLayers(self):
         return dict(self._layers)
