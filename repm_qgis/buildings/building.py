@@ -26,7 +26,8 @@ class Heights:
     """Heights of a building, m, in the datum of the DSM: the lowest terrain at its outline, and of its roof the eave,
     the median and the ridge (low, middle and high percentiles of its cells). ``error`` is the standard error of the
     median's height above the ground; ``residual`` the spread of the cells about the roof's model, and
-    ``level_residual`` about one height. ``measured`` is the share of the roof's cells whose heights were measured."""
+    ``level_residual`` about one height. ``measured`` is the share of the roof's cells whose heights were measured,
+    ``gaps`` that of the outline beyond which the DSM has no heights: there, the building may go on."""
 
     ground: float
     eave: float
@@ -36,6 +37,7 @@ class Heights:
     residual: float
     level_residual: float
     measured: float
+    gaps: float
 
     @property
     def tall(self) -> float:
@@ -108,6 +110,7 @@ def building_of(
         return None
     expected = _expected(patch, known)
     roofed, residual = _roofed(footprint, patch, planes, ground, level, expected, parameters)
+    beside = patch.rim & ~patch.roof.inside
     error = math.hypot(residual if math.isnan(expected) else expected, ground_error)
     return Building(
         number=number,
@@ -122,6 +125,7 @@ def building_of(
             residual=residual,
             level_residual=level,
             measured=float(patch.cells.measured[patch.roof.inside].mean()),
+            gaps=float(np.isnan(patch.cells.surface[beside]).mean()) if beside.any() else 0.0,
         ),
         kind=planes.roof_kind(parameters.roofs),
         planes=planes.planes,

@@ -114,6 +114,7 @@ def attributes(building: Building) -> JsonObject:
         "area_m2": building.area,
         "volume_m3": building.volume,
         "measured": heights.measured,
+        "gaps": heights.gaps,
     }
     return {
         **{name: round(float(value), 3) for name, value in figures.items()},

@@ -13,7 +13,7 @@ from .cityjson import attributes
 FIELDS: Dict[str, type] = {
     "id": int,
     **dict.fromkeys(("ground_m", "eave_m", "median_m", "ridge_m", "height_m", "error_m", "residual_m"), float),
-    **dict.fromkeys(("area_m2", "volume_m3", "measured"), float),
+    **dict.fromkeys(("area_m2", "volume_m3", "measured", "gaps"), float),
     "roof": str,
     "planes": int,
     "lod": int,

@@ -13,7 +13,7 @@ from typing import List, Mapping, NamedTuple, Optional, Sequence, Tuple
 import numpy as np
 
 from ..contracts.arrays import FloatArray, Mask
-from ..contracts.findings import Finding, distinct
+from ..contracts.findings import Finding, as_percent, distinct
 from ..contracts.records import FusionFacts, OtherRelief, PairFigures, RegistrationFigures
 from ..evaluation.gcp_accuracy import GcpAccuracy
 from ..evaluation.metrics import HeightMetrics
@@ -27,6 +27,8 @@ from .parameters import VERDICT, VerdictParameters
 
 _MOST_PAIRS = 5  # that are named
 _FEW_MEASURED = 0.5  # of a roof
+_OPEN_OUTLINE = 0.1  # of an outline at gaps, from which on a building may go on in them
+_OPEN_BUILDINGS = 0.25  # of the area of all: DSMs of two images have 0.10 to 0.20, gaps beside walls
 _MANY_OBJECTS_PERCENT = 80.0
 
 
@@ -352,10 +354,12 @@ def of_changed(share: float, bounds: VerdictParameters = VERDICT) -> List[Findin
     return [Finding("changed-much", f"{text}: {remedy}.")]
 
 
-def of_buildings(measured: Sequence[float], min_height: float, min_area: float) -> List[Finding]:
-    """The findings of buildings, of whose roofs these shares were measured, not filled in; the lowest height (m) and
-    the smallest area (m2) that were looked for."""
-    if not measured:
+def of_buildings(
+    areas: Sequence[float], measured: Sequence[float], gaps: Sequence[float], min_height: float, min_area: float
+) -> List[Finding]:
+    """The findings of buildings with these areas (m2), of whose roofs these shares were measured, not filled in, and
+    of whose outlines these end at ``gaps``; the lowest height (m) and the smallest area (m2) that were looked for."""
+    if not areas:
         return [
             Finding(
                 "no-buildings",
@@ -363,9 +367,19 @@ def of_buildings(measured: Sequence[float], min_height: float, min_area: float) 
                 "a smaller MIN_HEIGHT or MIN_AREA, or check that DTM is the terrain below this DSM.",
             )
         ]
+    found = []
     unsure = sum(share < _FEW_MEASURED for share in measured)
-    text = f"Less than half of the roof was measured for {unsure} of the buildings: look at these first."
-    return [Finding("roofs-unsure", text)] if unsure else []
+    if unsure:
+        text = f"Less than half of the roof was measured for {unsure} of the buildings: look at these first."
+        found.append(Finding("roofs-unsure", text))
+    cut = [area for area, share in zip(areas, gaps) if share > _OPEN_OUTLINE]
+    if sum(cut) > _OPEN_BUILDINGS * sum(areas):
+        text = (
+            f"{len(cut)} of the buildings ({as_percent(sum(cut) / sum(areas))} of their area) end where the DSM has "
+            "no heights, and may be larger than stated: fill these gaps (repm:editdsm), or use a DSM of more images."
+        )
+        found.append(Finding("outlines-open", text, "doubt"))
+    return found
 
 
 def of_terrain(objects_percent: float) -> List[Finding]:

@@ -68,8 +68,9 @@ def _found(task: _Task, progress: Progress) -> BuildingsResult:
     options, surface, terrain, slopes, folder, before, parameters = task
     run = Recorder(progress, before)
     found = find_buildings(options, surface, terrain, slopes, folder, Part(run, 0.0, 0.9), parameters.buildings)
-    measured = [each.heights.measured for each in found.buildings]
-    warn_all(run, [*found.warnings, *of_buildings(measured, options.min_height, options.min_area)])
+    figures = [(each.area, each.heights.measured, each.heights.gaps) for each in found.buildings]
+    areas, measured, gaps = zip(*figures) if figures else ((), (), ())
+    warn_all(run, [*found.warnings, *of_buildings(areas, measured, gaps, options.min_height, options.min_area)])
     if options.ortho and not found.shows_plants:
         progress.info(
             f"'{options.ortho}' names no near infrared band: only their heights distinguish trees from roofs."

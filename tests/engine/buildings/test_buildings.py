@@ -152,6 +152,22 @@ def test_outline_height_and_volume_are_those_of_the_house(village, house):
     assert volume(solid["1.2"]) == pytest.approx(shape.GetArea() * fields["height_m"], rel=1e-3)
 
 
+def test_a_house_that_a_gap_cuts_is_named(tmp_path):
+    """A gap over the western third of a house: the rest cannot tell where the house ends."""
+    base, house = ground(), HOUSES[0]
+    surface = built(base, [house])
+    surface[:, : int((house.place[0] - house.half[0] / 3) / CELL)] = np.nan
+    result, found, _ = made(tmp_path, surface, base)
+    fields, _ = at(found, house.place)
+    assert fields["area_m2"] < 0.75 * house.area and 0.15 < fields["gaps"] < 0.3  # its western wall
+    assert "may be larger than stated" in (tmp_path / "b.html").read_text(encoding="utf-8")
+
+
+def test_houses_without_gaps_are_not_named(village):
+    _, found, _ = village
+    assert all(fields["gaps"] == 0 for fields, _ in found)
+
+
 def test_roofs_have_their_slopes(village):
     _, found, (city, _) = village
     fields, _ = at(found, HOUSES[1].place)
