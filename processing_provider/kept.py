@@ -18,23 +18,12 @@ from qgis.core import (
     QgsProperty,
 )
 
-from ..repm_qgis.contracts.products import SCENE, Product, products_of
+from ..repm_qgis.contracts.products import OF_SCENES, SCENE, Product, products_of, stem_of
 from ..repm_qgis.names import images_name
 from ..repm_qgis.scene import origin
 from .values import any_paths, is_empty
 
 _NOT_PLACED = ("epmfit.workspace", "reconstruct.heights")  # says where the workspace is; lies in it if left out
-_NAMES = {
-    **{"pipeline": "dsm", "dsmfuse": "dsm", "epmfit": "cameras", "errormap": "equivalent_error"},
-    **{"refine": "refinement", "reconstruct": "reconstruction", "register": "registration"},
-}
-"""What products of one name in several stages are called after, where they lie in the workspace. The engine's own
-``tiles.gpkg`` and ``report.html`` are those of the last run, and are replaced by the next."""
-_KINDS = {
-    **{"editdsm": "edited", "comparedsm": "comparison", "checkgcps": "points"},
-    **{"exportcameras": "cameras", "exportrpc": "rpcs"},
-}
-"""What all other stages call their products, where that is not their own name."""
 PLACES = ("WORKSPACE", "OUTPUT_SCENE", "SCENE", "DSM", "AFTER", "DSMS", "SCENES")
 _promised: set[str] = set()  # places of runs that are under way
 
@@ -55,7 +44,7 @@ def in_workspace(
     """The parameters, with temporary products in the workspace where the user has named one: ``dsm.tif``, or
     ``dsm_2.tif`` where the first is taken, so that nothing is replaced that an earlier run has made. ``inputs`` are the
     engine's options."""
-    places = _places(algorithm, parameters, inputs, context) if algorithm.name() in _NAMES else {}
+    places = _places(algorithm, parameters, inputs, context) if algorithm.name() in OF_SCENES else {}
     _promised.update(places.values())
     try:
         yield {**parameters, **{name: moved_to(path, parameters[name]) for name, path in places.items()}}
@@ -73,7 +62,7 @@ def in_folder(
     a name, which a command leaves temporary, and those whose name was ``typed`` without a folder, which QGIS puts into
     one for all projects. Reads the project: main thread only."""
     inputs = _named(parameters, context)
-    places = _places(algorithm, parameters, inputs, context) if algorithm.name() not in _NAMES else {}
+    places = _places(algorithm, parameters, inputs, context) if algorithm.name() not in OF_SCENES else {}
     folder = _place(algorithm, parameters, inputs, context)[0]
     for name, value in parameters.items() if folder else ():
         if name in typed and name not in PLACES and not is_temporary(value):
@@ -163,14 +152,7 @@ def _name(algorithm: QgsProcessingAlgorithm, product: Product, surface: str) -> 
     """A product's name in its folder, and its extension ("" for folders)."""
     definition = algorithm.parameterDefinition(product.option.upper())
     extension = "" if definition.type() == "folderDestination" else f".{definition.defaultFileExtension()}"
-    stage = algorithm.name()
-    if stage in _NAMES:
-        shared = product.option if product.option in ("report", "tiles", "tie_points") else ""
-        return f"{_NAMES[stage]}_{shared}" if shared else product.style or product.option, extension
-    kind = _KINDS.get(stage, stage)
-    part = "" if product.option in ("output", "folder", "rpc_folder", stage) else product.option
-    whose = os.path.splitext(os.path.basename(surface))[0] if surface else ""
-    return "_".join(filter(None, (whose, kind, part.replace(f"{kind}_", "")))), extension
+    return stem_of(algorithm.name(), product, surface), extension
 
 
 def _free(folder: str, names: Mapping[str, tuple[str, str]]) -> dict[str, str]:

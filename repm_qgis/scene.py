@@ -567,6 +567,35 @@ def _document(path: str) -> JsonObject:
     return document
 
 
+class SceneFacts(NamedTuple):
+    """What a scene's file says without its tiles: views, the outline of their ground (WKT in ``crs``), the ``folder``
+    in which it was written, and what was done."""
+
+    views: Tuple[View, ...]
+    crs: str
+    area: str
+    folder: str
+    history: Tuple[StageRecord, ...]
+
+
+def facts_of(path: str) -> SceneFacts:
+    """The :class:`SceneFacts` of a scene, faster than the scene itself; raises SceneError where it cannot be read."""
+    document = _document(path)
+    try:
+        folder = typed(str, document.get("folder", ""))
+        find = partial(_found, os.path.dirname(os.path.abspath(path)), folder)
+        views, history = (typed(Tuple[object, ...], document.get(name)) for name in ("views", "history"))
+        return SceneFacts(
+            tuple(with_files(View.from_mapping(mapping(entry)), find) for entry in views),
+            typed(str, document.get("crs")),
+            typed(str, document.get("area")),
+            folder,
+            tuple(StageRecord.from_mapping(mapping(entry)) for entry in history),
+        )
+    except (Misfit, RpcInvalidError) as error:
+        raise SceneError(f"The scene '{path}' is damaged ({error}): make it again with {_FIRST_STAGE}.") from error
+
+
 def origin(path: str) -> Tuple[str, List[str]]:
     """The workspace in which a scene began, "" where its file does not say it, and its images."""
     try:

@@ -375,6 +375,33 @@ def scene_files(stage: str, options: Any) -> Iterator[str]:
         yield from (os.path.join(os.path.dirname(scene), name) for name in _BESIDE_SCENES.get(stage, ()))
 
 
+_NAMES = {
+    **{"pipeline": "dsm", "dsmfuse": "dsm", "epmfit": "cameras", "errormap": "equivalent_error"},
+    **{"refine": "refinement", "reconstruct": "reconstruction", "register": "registration"},
+}
+"""What products of one name in several stages are called after, where they lie in the workspace. The engine's own
+``tiles.gpkg`` and ``report.html`` are those of the last run, and are replaced by the next."""
+_KINDS = {
+    **{"editdsm": "edited", "comparedsm": "comparison", "checkgcps": "points"},
+    **{"exportcameras": "cameras", "exportrpc": "rpcs"},
+}
+"""What all other stages call their products, where that is not their own name."""
+OF_SCENES = frozenset(_NAMES)
+"""The stages whose products belong to the scene; those of others lie beside the surface that they are made from."""
+
+
+def stem_of(stage: str, product: Product, surface: str = "") -> str:
+    """The name, without its extension, of a product that the user has not named; ``surface`` is the file from which it
+    is made."""
+    if stage in _NAMES:
+        shared = product.option if product.option in ("report", "tiles", "tie_points") else ""
+        return f"{_NAMES[stage]}_{shared}" if shared else product.style or product.option
+    kind = _KINDS.get(stage, stage)
+    part = "" if product.option in ("output", "folder", "rpc_folder", stage) else product.option
+    whose = os.path.splitext(os.path.basename(surface))[0] if surface else ""
+    return "_".join(filter(None, (whose, kind, part.replace(f"{kind}_", ""))))
+
+
 def product(stage: str, option: str) -> Product:
     return next(each for each in products_of(stage) if each.option == option)
 
