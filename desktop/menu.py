@@ -20,6 +20,7 @@ from .group_zoom import GroupZoom
 from .hillshades import Hillshades
 from .install import InstallDialog, offer_once
 from .next_step import STEPS
+from .scenes import ScenesDock
 from .surface_editing import SurfaceEditingDock
 
 TITLE = "REPM"
@@ -41,10 +42,12 @@ class PluginMenu:
         self._group_zoom = GroupZoom(iface)
         self._dock: Optional[ControlPointsDock] = None
         self._editor: Optional[SurfaceEditingDock] = None
+        self._scenes: Optional[ScenesDock] = None
         STEPS.edit_dsm = self.edit_dsm
         self.add(self.tr("First steps"), "repm", self.first_steps)
         self.add(self.tr("Inspect images…"), "inspect", lambda: self.open("repm:inspect"))
         self.add(self.tr("Make a DSM…"), "pipeline", lambda: self.open("repm:pipeline"))
+        self.add(self.tr("Scenes"), "repm", self.scenes)
         self.add(self.tr("Measure control points…"), "checkgcps", self.measure_control_points)
         self.add(self.tr("Edit a DSM…"), "editdsm", self.edit_dsm)
         self.add(self.tr("Install the engine's packages…"), "environment", self.install)
@@ -74,11 +77,11 @@ class PluginMenu:
         for action in self._actions:
             self._iface.removePluginMenu(TITLE, action)
             action.deleteLater()
-        for dock in (self._dock, self._editor):
+        for dock in (self._dock, self._editor, self._scenes):
             if dock is not None:
                 dock.close_down()
                 dock.deleteLater()
-        self._dock = self._editor = None
+        self._dock = self._editor = self._scenes = None
         if self._panel is not None:
             self._panel.close()
             self._panel.deleteLater()
@@ -111,6 +114,14 @@ class PluginMenu:
             self._iface.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, self._editor)
         self._editor.setUserVisible(True)
         return self._editor
+
+    def scenes(self) -> ScenesDock:
+        """Show the dock, beside the map where it has not been moved."""
+        if self._scenes is None:
+            self._scenes = ScenesDock(self._iface, self.measure_control_points)
+            self._iface.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, self._scenes)
+        self._scenes.setUserVisible(True)
+        return self._scenes
 
     def open(self, algorithm: str) -> None:
         """Show an algorithm's dialog."""

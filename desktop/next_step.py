@@ -56,11 +56,15 @@ class NextSteps:
         self._shown: Optional[QgsMessageBarItem] = None
         self.edit_dsm: Optional[Callable[[], object]] = None
         """Shows the panel that edits the active layer; the menu, which has it, puts it here."""
+        self.followers: list[Callable[[], object]] = []
+        """Called when a run of ours has ended well."""
 
     def after(
         self, iface: QgisInterface, algorithm: str, given: JsonMapping, results: JsonMapping
     ) -> tuple[str, list[Button]]:
         """Show in QGIS's message bar what can be done after a run; gives the text and the buttons that open dialogs."""
+        for follow in self.followers:
+            follow()
         if algorithm not in _PATH:
             return "", []
         named = {name: _paths(given.get(name)) for name in ("DSM", "SCENE", "REFERENCE")}
@@ -106,9 +110,9 @@ class NextSteps:
         moved = math.sqrt(sum(float(results.get(name) or 0.0) ** 2 for name in ("EAST", "NORTH", "UP")))
         text = _tr("The scene was moved by {distance} m.")
         views: list[Button] = []
-        layer = _layer_of(results.get("DIFFERENCES"))
+        layer = layer_of(results.get("DIFFERENCES"))
         if layer is not None:
-            _bring_out(layer.id())
+            bring_out(layer.id())
             views = [
                 (_tr("Before"), lambda: _show_view(layer.id(), "differences_before")),
                 (_tr("After"), lambda: _show_view(layer.id(), "")),
@@ -128,20 +132,20 @@ class NextSteps:
 
     def _editing(self, dsm: str) -> list[Button]:
         """The last step; none where the DSM is not on the map."""
-        layer = _layer_of(dsm)
+        layer = layer_of(dsm)
         return [(_tr("Edit the DSM…"), lambda: self.edit(layer.id()))] if layer is not None and self.edit_dsm else []
 
     # --- the dialogs ---
 
     def make(self, images: list[str]) -> None:
-        self._open("pipeline", {"IMAGES": images})
+        self.open("pipeline", {"IMAGES": images})
 
     def compare(self, dsm: str) -> None:
-        layer = _layer_of(dsm)
+        layer = layer_of(dsm)
         given: JsonObject = {"DSM": dsm if layer is None else layer.id()}
         if self._reference:
             given["REFERENCE"] = self._reference[0]
-        self._open("comparedsm", given)
+        self.open("comparedsm", given)
 
     def register(self, scene: str) -> None:
         given: JsonObject = {"SCENE": scene}
@@ -149,24 +153,25 @@ class NextSteps:
             given["REFERENCE"] = [QgsVectorLayer(path, "", "none") for path in self._reference]
         if is_lasting(os.path.dirname(scene)):
             given["OUTPUT_SCENE"] = _free(os.path.join(os.path.dirname(scene), "registered.json"))
-        self._open("register", given)
+        self.open("register", given)
 
     def fuse(self, scene: str) -> None:
         """As the DSM was made before, of the registered scene."""
         given = {**self._fused, "SCENE": scene}
         if is_lasting(os.path.dirname(scene)):
             given["OUTPUT"] = _free(os.path.join(os.path.dirname(scene), "dsm_registered.tif"))
-        self._open("dsmfuse", given)
+        self.open("dsmfuse", given)
 
     def edit(self, layer_id: str) -> None:
         layer = QgsProject.instance().mapLayer(layer_id)
         if layer is not None and self.edit_dsm is not None:
             self.forget()
             self._iface.setActiveLayer(layer)
-            _bring_out(layer_id)
+            bring_out(layer_id)
             self.edit_dsm()
 
-    def _open(self, algorithm: str, given: JsonMapping) -> None:
+    def open(self, algorithm: str, given: JsonMapping) -> None:
+        """Show the dialog of an algorithm with these values filled in."""
         import processing
 
         self.forget()
@@ -230,7 +235,7 @@ def _free(path: str) -> str:
     return path
 
 
-def _layer_of(path: Optional[str]) -> Optional[QgsMapLayer]:
+def layer_of(path: Optional[str]) -> Optional[QgsMapLayer]:
     """The layer of a result, None where it is not on the map."""
     if is_empty(path) or path == QgsProcessing.TEMPORARY_OUTPUT:
         return None
@@ -249,10 +254,10 @@ def _show_view(layer_id: str, kind: str) -> None:
     name = next((each for each in styles.styles() if further.get(each, "") == kind), styles.currentStyle())
     styles.setCurrentStyle(name)
     layer.triggerRepaint()
-    _bring_out(layer_id)
+    bring_out(layer_id)
 
 
-def _bring_out(layer_id: str) -> None:
+def bring_out(layer_id: str) -> None:
     """Switch a layer on, and off the rasters of its group that would hide it, such as an earlier comparison."""
     node = QgsProject.instance().layerTreeRoot().findLayer(layer_id)
     if node is None:

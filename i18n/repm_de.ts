@@ -823,6 +823,10 @@
         <translation>DOM erzeugen…</translation>
     </message>
     <message>
+        <source>Scenes</source>
+        <translation>Szenen</translation>
+    </message>
+    <message>
         <source>Measure control points…</source>
         <translation>Passpunkte messen…</translation>
     </message>
@@ -2532,6 +2536,177 @@
     <message>
         <source>Ground control points</source>
         <translation>Passpunkte</translation>
+    </message>
+</context>
+<context>
+    <name>ScenesDock</name>
+    <message>
+        <source>REPM scenes</source>
+        <translation>REPM-Szenen</translation>
+    </message>
+    <message>
+        <source>Scene</source>
+        <translation>Szene</translation>
+    </message>
+    <message>
+        <source>About it</source>
+        <translation>Angaben</translation>
+    </message>
+    <message>
+        <source>What next</source>
+        <translation>Wie weiter</translation>
+    </message>
+    <message>
+        <source>Add a workspace…</source>
+        <translation>Arbeitsordner hinzufügen…</translation>
+    </message>
+    <message>
+        <source>Refresh</source>
+        <translation>Neu lesen</translation>
+    </message>
+    <message>
+        <source>In use by {owner}</source>
+        <translation>In Verwendung durch {owner}</translation>
+    </message>
+    <message>
+        <source>not there</source>
+        <translation>nicht da</translation>
+    </message>
+    <message>
+        <source>Images ({count})</source>
+        <translation>Bilder ({count})</translation>
+    </message>
+    <message>
+        <source>Runs ({count})</source>
+        <translation>Läufe ({count})</translation>
+    </message>
+    <message>
+        <source>Products ({count})</source>
+        <translation>Produkte ({count})</translation>
+    </message>
+    <message>
+        <source>time unknown</source>
+        <translation>Zeit unbekannt</translation>
+    </message>
+    <message>
+        <source>{time} UTC</source>
+        <translation>{time} UTC</translation>
+    </message>
+    <message>
+        <source>sun {elevation}° high in {azimuth}°</source>
+        <translation>Sonne {elevation}° hoch in {azimuth}°</translation>
+    </message>
+    <message>
+        <source>Record of the scene</source>
+        <translation>Aufzeichnung der Szene</translation>
+    </message>
+    <message>
+        <source>all defaults</source>
+        <translation>alles Vorgaben</translation>
+    </message>
+    <message>
+        <source>No scene yet: make a DSM, or add a workspace that you have.</source>
+        <translation>Noch keine Szene: Erstellen Sie ein DOM, oder fügen Sie einen Arbeitsordner hinzu, den Sie haben.</translation>
+    </message>
+    <message>
+        <source>Where is it now…</source>
+        <translation>Wo ist er jetzt…</translation>
+    </message>
+    <message>
+        <source>Take out of this list</source>
+        <translation>Aus dieser Liste nehmen</translation>
+    </message>
+    <message>
+        <source>Open in the browser</source>
+        <translation>Im Browser öffnen</translation>
+    </message>
+    <message>
+        <source>Zoom to it</source>
+        <translation>Dorthin zoomen</translation>
+    </message>
+    <message>
+        <source>Zoom to the scene</source>
+        <translation>Auf die Szene zoomen</translation>
+    </message>
+    <message>
+        <source>Open the report</source>
+        <translation>Bericht öffnen</translation>
+    </message>
+    <message>
+        <source>Show the folder</source>
+        <translation>Ordner zeigen</translation>
+    </message>
+    <message>
+        <source>Run again…</source>
+        <translation>Noch einmal ausführen…</translation>
+    </message>
+    <message>
+        <source>Copy the command</source>
+        <translation>Befehl kopieren</translation>
+    </message>
+    <message>
+        <source>Remove ({size})…</source>
+        <translation>Entfernen ({size})…</translation>
+    </message>
+    <message>
+        <source>Remove all products ({size})…</source>
+        <translation>Alle Produkte entfernen ({size})…</translation>
+    </message>
+    <message>
+        <source>Compare with a reference…</source>
+        <translation>Mit einer Referenz vergleichen…</translation>
+    </message>
+    <message>
+        <source>Register to a reference…</source>
+        <translation>Auf eine Referenz einpassen…</translation>
+    </message>
+    <message>
+        <source>Terrain (DTM)…</source>
+        <translation>Gelände (DGM)…</translation>
+    </message>
+    <message>
+        <source>Buildings…</source>
+        <translation>Gebäude…</translation>
+    </message>
+    <message>
+        <source>Page for the browser (3-D)…</source>
+        <translation>Seite für den Browser (3-D)…</translation>
+    </message>
+    <message>
+        <source>Edit the DSM…</source>
+        <translation>DOM bearbeiten…</translation>
+    </message>
+    <message>
+        <source>Measure control points…</source>
+        <translation>Passpunkte messen…</translation>
+    </message>
+    <message>
+        <source>QGIS cannot open '{path}'.</source>
+        <translation>QGIS kann „{path}“ nicht öffnen.</translation>
+    </message>
+    <message>
+        <source>The command is in the clipboard.</source>
+        <translation>Der Befehl ist in der Zwischenablage.</translation>
+    </message>
+    <message>
+        <source>These files are removed from the disk, and cannot be restored:</source>
+        <translation>Diese Dateien werden vom Datenträger entfernt und sind nicht wiederherzustellen:</translation>
+    </message>
+    <message>
+        <source>Remove products</source>
+        <translation>Produkte entfernen</translation>
+    </message>
+    <message>
+        <source>A folder with a scene</source>
+        <translation>Ein Ordner mit einer Szene</translation>
+    </message>
+    <message>
+        <source>Where is '{name}' now?</source>
+        <translation>Wo ist „{name}“ jetzt?</translation>
+    </message>
+    <message>
+        <source>'{folder}' holds no scene of REPM: choose the folder with scene.json.</source>
+        <translation>„{folder}“ enthält keine Szene von REPM: Wählen Sie den Ordner mit scene.json.</translation>
     </message>
 </context>
 <context>

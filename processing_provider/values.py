@@ -270,7 +270,7 @@ def command_line(algorithm_id: str, options: JsonMapping) -> str:
     for name, value in options.items():
         if is_empty(value) or name in ("extent_crs", "workers", "memory", "command"):
             continue
-        if name == "extent":
+        if name == "extent" and not isinstance(value, str):
             xmin, ymin, xmax, ymax = value
             value = f"{xmin!r},{xmax!r},{ymin!r},{ymax!r} [{options.get('extent_crs', 'EPSG:4326')}]"
         values = value if isinstance(value, (list, tuple)) else [value]

@@ -288,6 +288,10 @@ def _recorded(facts: SceneFacts, folder: str) -> Dict[str, Value]:
         for name, value in _plain_options(entry).items():
             if name in known and name not in ("report", "tiles", "tie_points") and not _is_default(name, value):
                 values[name] = value
+        extent, crs = entry.options.get("extent"), entry.options.get("extent_crs")
+        if isinstance(extent, (list, tuple)) and len(extent) == 4:  # as commands have it
+            values["extent"] = "{0},{2},{1},{3} [{4}]".format(*extent, crs)
+    values.pop("extent_crs", None)
     values["images"] = tuple(view.image for view in facts.views)
     return _moved(values, folder, facts.folder)
 

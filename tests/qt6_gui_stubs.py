@@ -157,7 +157,17 @@ class QgsMapLayer(QtCore.QObject):
         pass
 
 
+class _LayerOptions:
+    def __init__(self, load_default_style=True):
+        _need(load_default_style, bool)
+
+
 class QgsVectorLayer(QgsMapLayer):
+    LayerOptions = _LayerOptions
+
+    def __init__(self, path="", name="", provider="ogr", options=None):
+        super().__init__(path, name, provider)
+
     def geometryType(self):
         return GeometryType.PointGeometry
 
@@ -166,7 +176,9 @@ class QgsVectorLayer(QgsMapLayer):
 
 
 class QgsRasterLayer(QgsMapLayer):
-    def __init__(self, path="", name="", provider="gdal"):
+    LayerOptions = _LayerOptions
+
+    def __init__(self, path="", name="", provider="gdal", options=None):
         super().__init__(path, name, provider)
         self._raster = gdal.Open(path)
 
@@ -198,6 +210,7 @@ class QgsProviderRegistry:
 
 class QgsProject(QtCore.QObject):
     readProject, writeProject = Signal(object), Signal(object)
+    layersAdded, layersRemoved, cleared = Signal(object), Signal(object), Signal()
     _own = None
 
     @classmethod
@@ -417,6 +430,11 @@ class QgsMessageBar(QtWidgets.QWidget):
         QtWidgets.QVBoxLayout(self)
         self._items = []
 
+    def pushInfo(self, title, text):
+        self.createMessage(title, text)
+
+    pushWarning = pushInfo  # noqa: N815 - QGIS's name
+
     def createMessage(self, title, text):
         message = QtWidgets.QWidget(self)
         QtWidgets.QHBoxLayout(message).addWidget(QtWidgets.QLabel(f"{title}: {text}"))
@@ -600,6 +618,9 @@ class ProcessingResults:
 
 
 class QgsMapLayerStyle:
+    def __init__(self, text=""):
+        self._text = text + ""
+
     def readFromLayer(self, layer):
         _need(layer, QgsMapLayer)
 

@@ -304,6 +304,10 @@ class QgsApplication(QtWidgets.QApplication, metaclass=_Anything):  # type: igno
     def locale():
         return "en"
 
+    @staticmethod
+    def getThemeIcon(name):
+        return QtGui.QIcon(name + "")
+
     @classmethod
     def qgisSettingsDirPath(cls):
         return cls._profile.name

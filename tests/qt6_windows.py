@@ -51,6 +51,7 @@ def _answer_instead():
         (QtWidgets.QFileDialog, "getOpenFileNames"): (QtWidgets.QWidget, str, str, str),
         (QtWidgets.QFileDialog, "getOpenFileName"): (QtWidgets.QWidget, str, str, str),
         (QtWidgets.QFileDialog, "getSaveFileName"): (QtWidgets.QWidget, str, str, str),
+        (QtWidgets.QFileDialog, "getExistingDirectory"): (QtWidgets.QWidget, str, str),
         (QtWidgets.QInputDialog, "getDouble"): (QtWidgets.QWidget, str, str, float, float, float, int),
         (QtWidgets.QMessageBox, "question"): (QtWidgets.QWidget, str, str, Box),
         (QtGui.QDesktopServices, "openUrl"): (QtCore.QUrl,),
@@ -115,6 +116,8 @@ def use(menu, parts, engine):
         grids(menu, folder)
         control_points(menu, parts, sample, folder)
         edit(menu, parts, sample, folder, lambda given: stages.run_stage("editdsm", given, progress.Silent()))
+        fit = {"images": sample.images, "workspace": str(folder / "old town")}
+        scenes(menu, stages.run_stage("epmfit", fit, progress.Silent()), folder / "old town")
         dialogs(menu, parts)
         copy_model(menu, folder)
         for action in menu._hillshades._action, *menu._actions:
@@ -306,6 +309,51 @@ def edit(menu, parts, sample, folder, apply):
     feedback.pushWarning("a note")
     feedback.reportError("an error")
     dock.close()
+
+
+def scenes(menu, fitted, folder):
+    """A workspace that is added, with a picture of each image, a product on the map, and all actions of its items."""
+    dock = menu.scenes()
+    module = importlib.import_module(type(dock).__module__)
+    ANSWERS.update(getExistingDirectory=str(folder), question=Box.Cancel)
+    dsm = folder / "dsm.tif"
+    layers = gui.QgsProject.instance().mapLayers().values()
+    shutil.copy(next(each.source() for each in layers if isinstance(each, gui.QgsRasterLayer)), dsm)
+
+    def read():
+        while dock.is_reading():
+            QtWidgets.QApplication.processEvents()
+
+    with mock.patch.object(module, "is_lasting", lambda path: True):
+        press(dock, "Add a workspace…", "Refresh")
+        read()
+    item = dock.item_of(str(folder))
+    parts = [item.child(row) for row in range(item.childCount())]
+    assert [part.data(0, Qt.ItemDataRole.UserRole)[2] for part in parts] == ["image", "run", "product"]
+    parts[0].setExpanded(True)
+    read()
+    assert not parts[0].child(0).icon(0).isNull()
+    styler = mock.patch.object(module.styles.LayerStyler, "postProcessLayer")
+    with styler, mock.patch.object(dock, "_zoom"), mock.patch.object(dock, "forget"):
+        for each in (item, *(part.child(0) for part in parts)):
+            dock.tree.setCurrentItem(each)
+            dock.tree.itemDoubleClicked.emit(each, 0)
+            press(dock, "What next")
+        product = next(each for each in dock._items() if each.text(0) == "DSM")
+        product.setCheckState(0, Qt.CheckState.Checked)
+    dock.tree.customContextMenuRequested.emit(dock.tree.visualItemRect(product).center())
+    popup = QtWidgets.QApplication.activePopupWidget()
+    if popup is not None:
+        popup.close()
+    ANSWERS["question"] = Box.Yes
+    dock.remove(str(folder), [product.data(0, Qt.ItemDataRole.UserRole)[2]])
+    read()
+    assert not dsm.exists()
+    shutil.rmtree(folder)
+    dock.refresh()
+    read()
+    dock.relink(str(folder))
+    dock.forget(str(folder))
 
 
 def dialogs(menu, parts):

@@ -41,8 +41,8 @@ def test_messages_are_read_whole_in_a_dialog_of_qgis_own_width(language, provide
         steps = next_step.NextSteps()
         steps.edit_dsm = lambda: None
         monkeypatch.setattr(next_step, "is_registered", lambda scene, registered=registered: registered)
-        monkeypatch.setattr(next_step, "_layer_of", lambda path: SimpleNamespace(id=lambda: "a layer"))
-        monkeypatch.setattr(next_step, "_bring_out", lambda layer_id: None)
+        monkeypatch.setattr(next_step, "layer_of", lambda path: SimpleNamespace(id=lambda: "a layer"))
+        monkeypatch.setattr(next_step, "bring_out", lambda layer_id: None)
         given = {"SCENE": "scene.json", "DSM": "dsm.tif"}
         text, buttons = steps.after(SimpleNamespace(messageBar=lambda: bar), algorithm, given, results)
         for _ in range(9):  # Qt lays out the message, then the bar, then the window

@@ -162,7 +162,15 @@ def every_window_was_used(used):
     classes = {node.name for node in classes if "NamedTuple" not in map(ast.unparse, node.bases)}
     assert len(classes) > 15 and set(used["made"]) == classes
     assert used["left"] == {}
-    windows = {"FirstSteps", "InstallDialog", "GeoidGridsDialog", "ControlPointsDock", "SurfaceEditingDock", "Dialog"}
+    windows = {
+        "FirstSteps",
+        "InstallDialog",
+        "GeoidGridsDialog",
+        "ControlPointsDock",
+        "SurfaceEditingDock",
+        "Dialog",
+        "ScenesDock",
+    }
     assert windows <= set(used["pressed"])
     steps = {step.split(":")[0] for step in used["pressed"]["next steps"]}
     assert {"inspect", "pipeline", "register", "dsmfuse, registered", "comparedsm, registered"} <= steps

@@ -1,0 +1,687 @@
+"""The dock "REPM scenes": the workspaces of this project and those of late as one tree, with what can be done next.
+
+All that it shows is read from the workspaces as they lie there (:mod:`repm_qgis.workspaces`), in a thread of its own;
+only the list of folders is kept in the settings.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+import time
+from contextlib import suppress
+from datetime import datetime
+from functools import partial
+from typing import TYPE_CHECKING, Callable, Mapping, Optional
+
+from qgis.core import (
+    QgsApplication,
+    QgsCoordinateReferenceSystem,
+    QgsCoordinateTransform,
+    QgsCsException,
+    QgsLayerTreeNode,
+    QgsMapLayer,
+    QgsMapLayerStyle,
+    QgsProcessingContext,
+    QgsProcessingFeedback,
+    QgsProject,
+    QgsRasterLayer,
+    QgsRectangle,
+    QgsVectorLayer,
+)
+from qgis.gui import QgisInterface, QgsDockWidget
+from qgis.PyQt.QtCore import QLocale, QPoint, QSize, Qt, QUrl, pyqtSignal
+from qgis.PyQt.QtGui import QDesktopServices, QIcon, QImage, QPalette, QPixmap
+from qgis.PyQt.QtWidgets import (
+    QApplication,
+    QFileDialog,
+    QHBoxLayout,
+    QLabel,
+    QMenu,
+    QMessageBox,
+    QPushButton,
+    QTreeWidget,
+    QTreeWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ..processing_provider import last_scene, styles
+from ..processing_provider.base import resource
+from ..processing_provider.kept import is_lasting
+from ..processing_provider.language import language, said
+from ..processing_provider.parameters import tr
+from ..processing_provider.values import command_line, layer_path
+from ..repm_qgis.runtime.translation import written_in
+from .control_points import ControlPointsDock
+from .next_step import STEPS, bring_out, layer_of
+
+if TYPE_CHECKING:  # the engine is imported when it is needed
+    from ..repm_qgis.workspaces import ImageFacts, ProductFacts, RunFacts, Value, Workspace
+
+_FACTS = Qt.ItemDataRole.UserRole
+_THUMBNAIL_PX = 64
+_THUMBNAIL_S = 3.0  # until an image without overviews is given up
+_EDGE = 1.05
+_FILE_LAYERS = ("raster", "points", "polygons")
+
+
+class _Reader(threading.Thread):
+    """Reads workspaces and pictures beside QGIS's thread, in the order in which they are asked for."""
+
+    def __init__(self, give: Callable[[object, object], None]) -> None:
+        super().__init__(daemon=True, name="REPM scenes")
+        self._give, self._asked = give, queue.Queue()  # type: ignore[var-annotated]
+        self.waiting = 0
+        self.start()
+
+    def ask(self, about: object, read: Callable[[], object]) -> None:
+        self.waiting += 1
+        self._asked.put((about, read))
+
+    def stop(self) -> None:
+        self._asked.put(None)
+
+    def run(self) -> None:
+        for about, read in iter(self._asked.get, None):
+            try:
+                result = read()
+            except Exception as error:  # of one workspace; the others are shown
+                result = error
+            try:
+                self._give(about, result)
+            except RuntimeError:  # the dock is gone
+                return
+
+
+class ScenesDock(QgsDockWidget):
+    """Shows workspaces as a tree; ``close_down`` ends its thread. ``measure`` shows the panel of control points."""
+
+    _ready = pyqtSignal(object, object)
+
+    def __init__(self, iface: QgisInterface, measure: Callable[[], ControlPointsDock]) -> None:
+        super().__init__(iface.mainWindow())
+        self.setObjectName("RepmScenes")
+        self.setWindowTitle(self.tr("REPM scenes"))
+        self._iface, self._measure = iface, measure
+        self._folders: list[str] = []
+        self._found: dict[str, Workspace] = {}
+        self._pictures: dict[str, QIcon] = {}
+        self._open: dict[tuple[str, ...], bool] = {}
+        self._building = False
+        self._ready.connect(self._take)
+        self._reader = _Reader(self._ready.emit)
+        self._build()
+        STEPS.followers.append(self.refresh)
+        project = QgsProject.instance()
+        project.layersAdded.connect(self._follow_map)
+        project.layersRemoved.connect(self._follow_map)
+        project.readProject.connect(self.refresh)
+        project.cleared.connect(self.refresh)
+        project.layerTreeRoot().visibilityChanged.connect(self._follow_map)
+        self.refresh()
+
+    def _build(self) -> None:
+        self.tree = QTreeWidget()
+        self.tree.setColumnCount(2)
+        self.tree.setHeaderLabels([self.tr("Scene"), self.tr("About it")])
+        self.tree.setIconSize(QSize(_THUMBNAIL_PX // 2, _THUMBNAIL_PX // 2))
+        self.tree.setColumnWidth(0, 190)
+        self.tree.setIndentation(14)
+        self.tree.setMinimumWidth(380)
+        self.tree.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
+        self.tree.customContextMenuRequested.connect(self._show_menu)
+        self.tree.itemChanged.connect(self._ticked)
+        self.tree.itemExpanded.connect(self._expanded)
+        self.tree.itemCollapsed.connect(lambda item: self._note_open(item, False))
+        self.tree.itemDoubleClicked.connect(self._double_clicked)
+        self.tree.currentItemChanged.connect(lambda *_: self._show_state())
+        self.said = QLabel()
+        self.said.setWordWrap(True)
+        self.actions = QPushButton(self.tr("What next"))
+        self._menu = QMenu(self.actions)
+        self._menu.aboutToShow.connect(lambda: self._fill(self._menu, self.tree.currentItem()))
+        self.actions.setMenu(self._menu)
+        add, refresh = QPushButton(self.tr("Add a workspace…")), QPushButton(self.tr("Refresh"))
+        add.clicked.connect(lambda *_: self.add_workspace())
+        refresh.clicked.connect(lambda *_: self.refresh())
+        row = QHBoxLayout()
+        for button in (self.actions, add, refresh):
+            row.addWidget(button)
+        row.addStretch()
+        inside = QWidget()
+        layout = QVBoxLayout(inside)
+        layout.addWidget(self.tree)
+        layout.addWidget(self.said)
+        layout.addLayout(row)
+        self.setWidget(inside)
+
+    def close_down(self) -> None:
+        self._reader.stop()
+        STEPS.followers.remove(self.refresh)
+        project = QgsProject.instance()
+        for signal, slot in (
+            (project.layersAdded, self._follow_map),
+            (project.layersRemoved, self._follow_map),
+            (project.readProject, self.refresh),
+            (project.cleared, self.refresh),
+            (project.layerTreeRoot().visibilityChanged, self._follow_map),
+        ):
+            signal.disconnect(slot)
+
+    # --- reading ---
+
+    def is_reading(self) -> bool:
+        return self._reader.waiting > 0
+
+    def refresh(self, *_: object) -> None:
+        """Read all workspaces again: those of the project's layers, and those of late."""
+        from ..repm_qgis.workspaces import is_workspace, read_workspace
+
+        places = dict.fromkeys(
+            os.path.dirname(layer_path(layer)) for layer in QgsProject.instance().mapLayers().values()
+        )
+        of_project = [folder for folder in places if os.path.isabs(folder) and is_workspace(folder)]
+        of_late = [each for each in last_scene.workspaces() if is_lasting(each) or is_workspace(each)]
+        self._folders = list(dict.fromkeys(os.path.abspath(each) for each in (*of_project, *of_late)))
+        self._found = {folder: self._found[folder] for folder in self._folders if folder in self._found}
+        self._show()
+        for folder in self._folders:
+            self._reader.ask(("workspace", folder), partial(read_workspace, folder))
+
+    def _take(self, about: tuple[str, str], result: object) -> None:
+        """What the thread has read."""
+        self._reader.waiting -= 1
+        kind, name = about
+        if isinstance(result, Exception):
+            self.said.setText(str(result))
+        elif kind == "workspace" and name in self._folders:
+            self._found[name] = result  # type: ignore[assignment]
+            self._show_workspace(name)
+        elif kind == "picture" and isinstance(result, QImage):
+            self._pictures[name] = QIcon(QPixmap.fromImage(result))
+            for item in self._items():
+                facts = item.data(0, _FACTS)
+                if facts and facts[0] == "image" and facts[2].path == name:
+                    item.setIcon(0, self._pictures[name])
+        self._show_state()
+
+    # --- the tree ---
+
+    def _items(self) -> list[QTreeWidgetItem]:
+        found = [self.tree.topLevelItem(row) for row in range(self.tree.topLevelItemCount())]
+        for item in found:  # grows meanwhile
+            found.extend(item.child(row) for row in range(item.childCount()))
+        return found
+
+    def item_of(self, folder: str) -> Optional[QTreeWidgetItem]:
+        return next((item for item in self._items() if item.data(0, _FACTS) == ("workspace", folder)), None)
+
+    def _show(self) -> None:
+        """The tree of all folders, with what is known of them."""
+        current = self.tree.currentItem()
+        chosen = self._path(current) if current is not None else ()
+        self.tree.clear()
+        for number, folder in enumerate(self._folders):
+            item = QTreeWidgetItem([os.path.basename(folder), ""])
+            item.setData(0, _FACTS, ("workspace", folder))
+            self.tree.addTopLevelItem(item)
+            if folder in self._found:
+                self._show_workspace(folder)
+            item.setExpanded(self._open.get((folder,), number == 0))
+        for item in self._items():
+            if chosen and self._path(item) == chosen:
+                self.tree.setCurrentItem(item)
+        if self.tree.currentItem() is None and self.tree.topLevelItemCount():
+            self.tree.setCurrentItem(self.tree.topLevelItem(0))
+        self._show_state()
+
+    def _show_workspace(self, folder: str) -> None:
+        item, found = self.item_of(folder), self._found[folder]
+        if item is None:
+            return
+        self._building = True
+        chosen = self._path(self.tree.currentItem()) if self.tree.currentItem() is not None else ()
+        item.takeChildren()
+        item.setText(0, found.title)
+        item.setIcon(0, _small(QIcon(resource("icons", "repm.svg"))))
+        item.setToolTip(0, folder)
+        about = said(found.problem) if found.problem else self._days(found)
+        if found.writer:
+            about = self.tr("In use by {owner}").format(owner=found.writer)
+        item.setText(1, about if os.path.isdir(folder) else self.tr("not there"))
+        item.setToolTip(1, about)
+        if found.problem:
+            self._grey(item)
+        for title, kind, entries in (
+            (self.tr("Images ({count})"), "image", found.images),
+            (self.tr("Runs ({count})"), "run", found.runs),
+            (self.tr("Products ({count})"), "product", found.products),
+        ):
+            if entries:
+                part = QTreeWidgetItem(item, [title.format(count=len(entries)), ""])
+                part.setData(0, _FACTS, ("part", folder, kind))
+                for facts in entries:
+                    getattr(self, f"_add_{kind}")(part, folder, facts)
+                part.setExpanded(self._open.get((folder, kind), kind != "image"))
+        for each in self._items():
+            if chosen and self._path(each) == chosen:
+                self.tree.setCurrentItem(each)
+        self._building = False
+        self._follow_map()
+
+    def _path(self, item: QTreeWidgetItem) -> tuple[str, ...]:
+        """What stays the same of an item when the tree is made again."""
+        kind, folder, *facts = item.data(0, _FACTS)
+        if kind == "part":
+            return folder, facts[0]
+        return (folder, *(str(getattr(each, "path", "") or getattr(each, "report", "")) for each in facts))
+
+    def _days(self, found: Workspace) -> str:
+        days = sorted({each.acquired[:10] for each in found.images if each.acquired})
+        return " – ".join(dict.fromkeys((days[0], days[-1]))) if days else ""
+
+    def _grey(self, item: QTreeWidgetItem) -> None:
+        colour = self.palette().brush(QPalette.ColorGroup.Disabled, QPalette.ColorRole.Text)
+        for column in (0, 1):
+            item.setForeground(column, colour)
+
+    def _add_image(self, part: QTreeWidgetItem, folder: str, facts: ImageFacts) -> None:
+        about = self.tr("time unknown")
+        if facts.acquired:
+            about = self.tr("{time} UTC").format(time=facts.acquired[:16].replace("T", " "))
+        if facts.sun is not None:
+            about += ", " + self.tr("sun {elevation}° high in {azimuth}°").format(
+                elevation=round(facts.sun[1]), azimuth=round(facts.sun[0])
+            )
+        item = QTreeWidgetItem(part, [facts.name, about])
+        if not facts.there:
+            item.setText(1, self.tr("not there"))
+            self._grey(item)
+        item.setToolTip(0, facts.path)
+        item.setToolTip(1, item.text(1))
+        item.setData(0, _FACTS, ("image", folder, facts))
+        if facts.path in self._pictures:
+            item.setIcon(0, self._pictures[facts.path])
+
+    def _add_run(self, part: QTreeWidgetItem, folder: str, run: RunFacts) -> None:
+        when = datetime.fromtimestamp(run.time).strftime("%Y-%m-%d %H:%M")
+        title = run.title.rpartition(": ")[0] or run.title or self.tr("Record of the scene")
+        differing = ", ".join(run.differing) if run.differing else self.tr("all defaults") if run.options else ""
+        verdict = run.verdict.rstrip(":")
+        about = [verdict, differing] if run.stage else [title, verdict]
+        item = QTreeWidgetItem(part, [when, "; ".join(filter(None, about))])
+        kind = "mIconSuccess.svg" if run.good else "mIconWarning.svg"
+        item.setIcon(0, _small(QgsApplication.getThemeIcon(f"/{kind}")) if run.verdict else QIcon())
+        item.setToolTip(0, run.title)
+        item.setToolTip(1, "\n".join(filter(None, (run.verdict, run.text, differing))))
+        item.setData(0, _FACTS, ("run", folder, run))
+
+    def _add_product(self, part: QTreeWidgetItem, folder: str, made: ProductFacts) -> None:
+        size = QLocale().formattedDataSize(made.size) if made.there else self.tr("not there")
+        name = os.path.basename(made.path)
+        item = QTreeWidgetItem(part, [tr(made.product.title), f"{name}, {size}"])
+        item.setToolTip(0, tr(made.product.help))
+        item.setToolTip(1, made.path)
+        item.setData(0, _FACTS, ("product", folder, made))
+        if not made.there:
+            self._grey(item)
+        elif _can_show(made):
+            item.setFlags(item.flags() | Qt.ItemFlag.ItemIsUserCheckable)
+            item.setCheckState(0, Qt.CheckState.Unchecked)
+
+    def _follow_map(self, *_: object) -> None:
+        """Have the ticks say what is on the map."""
+        self._building, before = True, self._building
+        layers = _layers_by_path()
+        root = QgsProject.instance().layerTreeRoot()
+        for item in self._items():
+            facts = item.data(0, _FACTS)
+            if facts and facts[0] == "product" and item.flags() & Qt.ItemFlag.ItemIsUserCheckable:
+                layer = layers.get(_real(facts[2].path))
+                node = root.findLayer(layer.id()) if layer is not None else None
+                shown = node is not None and node.isVisible()
+                item.setCheckState(0, Qt.CheckState.Checked if shown else Qt.CheckState.Unchecked)
+        self._building = before
+
+    def _show_state(self) -> None:
+        self.actions.setEnabled(self.tree.currentItem() is not None)
+        empty = self.tr("No scene yet: make a DSM, or add a workspace that you have.")
+        self.said.setText("" if self._folders else empty)
+        self.said.setVisible(not self._folders)
+
+    def _note_open(self, item: QTreeWidgetItem, is_open: bool) -> None:
+        self._open[self._path(item)] = is_open
+
+    def _expanded(self, item: QTreeWidgetItem) -> None:
+        self._note_open(item, True)
+        facts = item.data(0, _FACTS)
+        if facts[0] == "part" and facts[2] == "image":
+            for image in self._found[facts[1]].images:
+                if image.there and not image.remote and image.path not in self._pictures:
+                    self._pictures[image.path] = QIcon()
+                    self._reader.ask(("picture", image.path), partial(picture_of, image.path))
+
+    # --- what can be done ---
+
+    def _show_menu(self, place: QPoint) -> None:
+        menu = QMenu(self.tree)
+        self._fill(menu, self.tree.itemAt(place))
+        if not menu.isEmpty():
+            menu.popup(self.tree.viewport().mapToGlobal(place))
+
+    def _fill(self, menu: QMenu, item: Optional[QTreeWidgetItem]) -> None:
+        """The actions of an item."""
+        menu.clear()
+        if item is None:
+            return
+        kind, folder, *facts = item.data(0, _FACTS)
+        found = self._found.get(folder)
+
+        def add(title: str, act: Callable[[], object], enabled: bool = True) -> None:
+            action = menu.addAction(title)
+            action.setEnabled(bool(enabled))
+            action.triggered.connect(lambda *_: act())
+
+        if found is None or not os.path.isdir(folder):
+            add(self.tr("Where is it now…"), lambda: self.relink(folder))
+            add(self.tr("Take out of this list"), lambda: self.forget(folder))
+            return
+        run = facts[0] if kind == "run" else next((each for each in found.runs if each.options), None)
+        made = facts[0] if kind == "product" else None
+        if made is not None and made.there:
+            if made.path.lower().endswith((".html", ".htm")):
+                add(self.tr("Open in the browser"), lambda: _show_file(made.path))
+            elif _can_show(made):
+                add(self.tr("Zoom to it"), lambda: self.zoom_to_product(made, folder))
+        add(self.tr("Zoom to the scene"), lambda: self.zoom(folder), found.bounds is not None)
+        report = facts[0].report if kind == "run" else next((each.report for each in found.runs if each.report), "")
+        add(self.tr("Open the report"), lambda: _show_file(report), bool(report))
+        add(self.tr("Show the folder"), lambda: _show_file(folder))
+        menu.addSeparator()
+        options = run.options if run is not None else {}
+        add(self.tr("Run again…"), lambda: self.run_again(options), bool(options))
+        add(self.tr("Copy the command"), lambda: self.copy_command(options), bool(options))
+        menu.addSeparator()
+        for title, act, enabled in self._next_steps(found, made):
+            add(title, act, enabled)
+        menu.addSeparator()
+        chosen = [made] if made is not None else list(found.products)
+        removable = [each for each in chosen if each.there and each.removable]
+        size = QLocale().formattedDataSize(sum(each.size for each in removable))
+        title = self.tr("Remove ({size})…") if made is not None else self.tr("Remove all products ({size})…")
+        add(title.format(size=size), lambda: self.remove(folder, removable), bool(removable and not found.writer))
+        if folder in last_scene.workspaces():
+            add(self.tr("Take out of this list"), lambda: self.forget(folder))
+
+    def _next_steps(
+        self, found: Workspace, made: Optional[ProductFacts]
+    ) -> list[tuple[str, Callable[[], object], bool]]:
+        """The steps that a scene and its DSM, or the one that is chosen, can take."""
+        surface = made if made is not None and made.product.style == "dsm" else found.product("dsmfuse")
+        dsm = surface.path if surface is not None and surface.there else ""
+        has_heights = os.path.basename(found.scene) in ("reconstructed.json", "registered.json")
+
+        def opened(algorithm: str) -> Callable[[], None]:
+            return lambda: STEPS.open(algorithm, {"DSM": dsm})
+
+        return [
+            (self.tr("Compare with a reference…"), lambda: STEPS.compare(dsm), bool(dsm)),
+            (self.tr("Register to a reference…"), lambda: STEPS.register(found.scene), has_heights),
+            (self.tr("Terrain (DTM)…"), opened("dtm"), bool(dsm)),
+            (self.tr("Buildings…"), opened("buildings"), bool(dsm)),
+            (self.tr("Page for the browser (3-D)…"), opened("viewer"), bool(dsm)),
+            (self.tr("Edit the DSM…"), lambda: self.edit(found.folder, surface), bool(dsm)),
+            (self.tr("Measure control points…"), lambda: self.measure(found), any(e.there for e in found.images)),
+        ]
+
+    def _double_clicked(self, item: QTreeWidgetItem, _: int) -> None:
+        kind, folder, *facts = item.data(0, _FACTS)
+        if kind == "run" and facts[0].report:
+            _show_file(facts[0].report)
+        elif kind == "product" and facts[0].there:
+            if _can_show(facts[0]):
+                self.zoom_to_product(facts[0], folder)
+            elif facts[0].path.lower().endswith((".html", ".htm")):
+                _show_file(facts[0].path)
+
+    def _ticked(self, item: QTreeWidgetItem, column: int) -> None:
+        facts = item.data(0, _FACTS)
+        if self._building or column != 0 or not facts or facts[0] != "product":
+            return
+        self.put_on_map(facts[2], facts[1], item.checkState(0) == Qt.CheckState.Checked)
+
+    def put_on_map(self, made: ProductFacts, folder: str, shown: bool = True) -> Optional[QgsMapLayer]:
+        """Show a product on the map, or hide it; gives its layer."""
+        layer = layer_of(made.path)
+        if layer is None and shown:
+            layer = self._add_layer(made, folder)
+        node = QgsProject.instance().layerTreeRoot().findLayer(layer.id()) if layer is not None else None
+        if layer is not None and node is not None and shown:
+            bring_out(layer.id())
+            _expand_groups(node)
+        elif node is not None:
+            node.setItemVisibilityChecked(False)
+        self._follow_map()
+        return layer
+
+    def _add_layer(self, made: ProductFacts, folder: str) -> Optional[QgsMapLayer]:
+        from ..repm_qgis.contracts.errors import RepmError
+        from ..repm_qgis.files.untrusted import refusal_of
+        from ..repm_qgis.reports.styles import style_text
+
+        refused = refusal_of(made.path)
+        if refused:
+            self._iface.messageBar().pushWarning("REPM", f"'{made.path}' {said(refused)}")
+            return None
+        kind, path = made.product.style, made.path
+        found = self._found[folder]
+        run = styles.Run(found.title, sorted({each.acquired[:10] for each in found.images if each.acquired}))
+        name = run.name(tr(made.product.layer or made.product.title))
+        # Our style instead of the file beside the product: that of a stranger's workspace may hold code.
+        layer: QgsMapLayer
+        if made.product.form == "raster":
+            layer = QgsRasterLayer(path, name, "gdal", QgsRasterLayer.LayerOptions(False))
+        else:
+            layer = QgsVectorLayer(path, name, "ogr", QgsVectorLayer.LayerOptions(False))
+        if not layer.isValid():
+            self._iface.messageBar().pushWarning("REPM", self.tr("QGIS cannot open '{path}'.").format(path=path))
+            return None
+        context, feedback = QgsProcessingContext(), QgsProcessingFeedback()
+        context.setProject(QgsProject.instance())
+        run.kinds.add(kind)
+        with suppress(RepmError), written_in(language()):  # without a style it is shown all the same
+            QgsMapLayerStyle(style_text(kind, path)).writeToLayer(layer)
+        QgsProject.instance().addMapLayer(layer)
+        styles.LayerStyler.make("", kind, run).postProcessLayer(layer, context, feedback)
+        return layer
+
+    def zoom_to_product(self, made: ProductFacts, folder: str) -> None:
+        layer = self.put_on_map(made, folder)
+        if layer is not None:
+            self._zoom(layer.extent(), layer.crs())
+
+    def zoom(self, folder: str) -> None:
+        """Show the ground of a scene."""
+        found = self._found[folder]
+        if found.bounds is not None:
+            self._zoom(QgsRectangle(*found.bounds), QgsCoordinateReferenceSystem(found.crs))
+
+    def _zoom(self, extent: QgsRectangle, crs: QgsCoordinateReferenceSystem) -> None:
+        canvas = self._iface.mapCanvas()
+        to_map = QgsCoordinateTransform(crs, canvas.mapSettings().destinationCrs(), QgsProject.instance())
+        try:
+            place = to_map.transformBoundingBox(extent)
+        except QgsCsException:
+            return
+        place.scale(_EDGE)
+        canvas.setExtent(place)
+        canvas.refresh()
+
+    def run_again(self, options: Mapping[str, Value]) -> None:
+        """Open the dialog with the options of a run."""
+        from ..repm_qgis.workspaces import safe_inputs
+
+        STEPS.open("pipeline", parameters_of(safe_inputs(options)))
+
+    def copy_command(self, options: Mapping[str, Value]) -> None:
+        QApplication.clipboard().setText(command_line("repm:pipeline", dict(options)))
+        self._iface.messageBar().pushInfo("REPM", self.tr("The command is in the clipboard."))
+
+    def edit(self, folder: str, surface: Optional[ProductFacts]) -> None:
+        layer = self.put_on_map(surface, folder) if surface is not None else None
+        if layer is not None and STEPS.edit_dsm is not None:
+            self._iface.setActiveLayer(layer)
+            STEPS.edit_dsm()
+
+    def measure(self, found: Workspace) -> None:
+        """Measure control points in the images of a scene."""
+        dock = self._measure()
+        dock.open_images([each.path for each in found.images if each.there and not each.remote])
+
+    def remove(self, folder: str, products: list[ProductFacts]) -> None:
+        """Remove products from the disk and the map, after a question that names them."""
+        from ..repm_qgis.contracts.errors import RepmError
+        from ..repm_qgis.workspaces import remove_products
+
+        lines = [f"{os.path.basename(each.path)}  ({QLocale().formattedDataSize(each.size)})" for each in products]
+        text = self.tr("These files are removed from the disk, and cannot be restored:") + "\n\n" + "\n".join(lines)
+        buttons = QMessageBox.StandardButton
+        answer = QMessageBox.question(self, self.tr("Remove products"), text, buttons.Yes | buttons.Cancel)
+        if answer != buttons.Yes:
+            return
+        layers = [layer for layer in map(layer_of, (each.path for each in products)) if layer is not None]
+        QgsProject.instance().removeMapLayers([layer.id() for layer in layers])
+        try:
+            remove_products(folder, products)
+        except RepmError as error:
+            self._iface.messageBar().pushWarning("REPM", said(str(error)))
+        self.refresh()
+
+    def add_workspace(self) -> None:
+        """Show a workspace that lies elsewhere, such as one that was received."""
+        self._choose(self.tr("A folder with a scene"), "")
+
+    def relink(self, folder: str) -> None:
+        """Show a workspace at its new place, and its layers with it."""
+        self._choose(self.tr("Where is '{name}' now?").format(name=os.path.basename(folder)), folder)
+
+    def _choose(self, title: str, before: str) -> None:
+        from ..repm_qgis.workspaces import is_workspace
+
+        folder = QFileDialog.getExistingDirectory(self, title, os.path.dirname(before))
+        if not folder:
+            return
+        folder = os.path.abspath(folder)
+        if not is_workspace(folder):
+            text = self.tr("'{folder}' holds no scene of REPM: choose the folder with scene.json.")
+            self._iface.messageBar().pushWarning("REPM", text.format(folder=folder))
+            return
+        last_scene.remember_workspace(folder, before)
+        for layer in QgsProject.instance().mapLayers().values() if before else ():
+            path = layer_path(layer)
+            moved = os.path.join(folder, os.path.relpath(path, before)) if path.startswith(before + os.sep) else ""
+            if moved and os.path.exists(moved) and layer.providerType() in ("gdal", "ogr"):
+                layer.setDataSource(layer.source().replace(path, moved), layer.name(), layer.providerType())
+        self._open[folder,] = True
+        self.refresh()
+
+    def forget(self, folder: str) -> None:
+        """Take a workspace out of the list; its files stay."""
+        last_scene.forget_workspace(folder)
+        self.refresh()
+
+
+def parameters_of(options: Mapping[str, Value]) -> dict[str, object]:
+    """The values of a dialog for the recorded options of a run: texts of commands become numbers and switches."""
+    algorithm = QgsApplication.processingRegistry().algorithmById("repm:pipeline")
+    found: dict[str, object] = {}
+    value: object
+    for name, value in options.items():
+        definition = algorithm.parameterDefinition(name.upper())
+        if definition is None:
+            continue
+        kind = definition.type()
+        if kind == "boolean":
+            value = str(value).lower() in ("true", "1", "yes")
+        elif kind == "number":
+            try:
+                number = float(str(value))
+            except (TypeError, ValueError):
+                continue
+            value = int(number) if number.is_integer() else number
+        elif kind == "enum":
+            if value not in definition.options():
+                continue
+        elif kind == "multilayer":
+            value = list(value) if isinstance(value, tuple) else [value]
+        elif isinstance(value, tuple):
+            value = ",".join(value)
+        found[name.upper()] = value
+    return found
+
+
+def picture_of(path: str) -> Optional[QImage]:
+    """A small picture of an image; None where it takes too long, or cannot be read. Rows are read one by one: a file
+    without overviews is read whole otherwise."""
+    import numpy as np
+
+    from ..repm_qgis.contracts.errors import RepmError
+    from ..repm_qgis.imagery.raster import opened
+
+    end = time.monotonic() + _THUMBNAIL_S
+    try:
+        with opened(path) as dataset:
+            band, width, height = dataset.GetRasterBand(1), dataset.RasterXSize, dataset.RasterYSize
+            share = _THUMBNAIL_PX / max(width, height)
+            size = max(1, round(width * share)), max(1, round(height * share))
+            if band.GetOverviewCount() or width * height <= 4_000_000:
+                grey = band.ReadAsArray(buf_xsize=size[0], buf_ysize=size[1])
+            else:
+                rows = []
+                for row in range(size[1]):
+                    rows.append(band.ReadAsArray(0, int((row + 0.5) / share), width, 1, buf_xsize=size[0], buf_ysize=1))
+                    if time.monotonic() > end:
+                        return None
+                grey = np.concatenate(rows)
+    except (RepmError, RuntimeError):
+        return None
+    if grey is None:
+        return None
+    values = grey.astype(float)
+    low, high = np.percentile(values, (2, 98))
+    shown = np.ascontiguousarray(np.clip((values - low) / max(high - low, 1e-9) * 255, 0, 255).astype(np.uint8))
+    return QImage(shown.tobytes(), size[0], size[1], size[0], QImage.Format.Format_Grayscale8).copy()
+
+
+def _can_show(made: ProductFacts) -> bool:
+    """Whether QGIS opens a product by its file."""
+    return bool(made.product.style) and made.product.form in _FILE_LAYERS
+
+
+def _layers_by_path() -> dict[str, QgsMapLayer]:
+    return {_real(layer_path(layer)): layer for layer in QgsProject.instance().mapLayers().values()}
+
+
+def _real(path: str) -> str:
+    from ..repm_qgis.contracts.paths import real_path
+
+    return real_path(path) if path else ""
+
+
+def _expand_groups(node: QgsLayerTreeNode) -> None:
+    """Have a layer in sight in the tree of layers."""
+    group = node.parent()
+    while group is not None:
+        group.setExpanded(True)
+        group = group.parent()
+
+
+def _small(icon: QIcon) -> QIcon:
+    """An icon beside thumbnails that are larger than it."""
+    return QIcon(icon.pixmap(QSize(16, 16)))
+
+
+def _show_file(path: str) -> None:
+    QDesktopServices.openUrl(QUrl.fromLocalFile(path))
