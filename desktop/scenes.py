@@ -386,7 +386,7 @@ class ScenesDock(QgsDockWidget):
 
         if found is None or not os.path.isdir(folder):
             add(self.tr("Where is it now…"), lambda: self.relink(folder))
-            add(self.tr("Take out of this list"), lambda: self.forget(folder))
+            add(self.tr("Forget this folder"), lambda: self.forget(folder))
             return
         run = facts[0] if kind == "run" else next((each for each in found.runs if each.options), None)
         made = facts[0] if kind == "product" else None
@@ -413,7 +413,7 @@ class ScenesDock(QgsDockWidget):
         title = self.tr("Remove ({size})…") if made is not None else self.tr("Remove all products ({size})…")
         add(title.format(size=size), lambda: self.remove(folder, removable), bool(removable and not found.writer))
         if folder in last_scene.workspaces():
-            add(self.tr("Take out of this list"), lambda: self.forget(folder))
+            add(self.tr("Forget this folder"), lambda: self.forget(folder))
 
     def _next_steps(
         self, found: Workspace, made: Optional[ProductFacts]

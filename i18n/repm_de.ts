@@ -2613,8 +2613,8 @@
         <translation>Wo ist er jetzt…</translation>
     </message>
     <message>
-        <source>Take out of this list</source>
-        <translation>Aus dieser Liste nehmen</translation>
+        <source>Forget this folder</source>
+        <translation>Diesen Ordner vergessen</translation>
     </message>
     <message>
         <source>Open in the browser</source>
