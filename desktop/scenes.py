@@ -288,19 +288,19 @@ class ScenesDock(QgsDockWidget):
             item.setForeground(column, colour)
 
     def _add_image(self, part: QTreeWidgetItem, folder: str, facts: ImageFacts) -> None:
-        about = self.tr("time unknown")
+        brief = whole = self.tr("time unknown")
         if facts.acquired:
-            about = self.tr("{time} UTC").format(time=facts.acquired[:16].replace("T", " "))
+            brief, whole = facts.acquired[:10], self.tr("{time} UTC").format(time=facts.acquired[:16].replace("T", " "))
         if facts.sun is not None:
-            about += ", " + self.tr("sun {elevation}° high in {azimuth}°").format(
-                elevation=round(facts.sun[1]), azimuth=round(facts.sun[0])
-            )
-        item = QTreeWidgetItem(part, [facts.name, about])
+            azimuth, elevation = map(round, facts.sun)
+            brief += ", " + self.tr("sun {elevation}°").format(elevation=elevation)
+            high = self.tr("sun {elevation}° high in {azimuth}°")
+            whole += ", " + high.format(elevation=elevation, azimuth=azimuth)
+        item = QTreeWidgetItem(part, [facts.name, brief if facts.there else self.tr("not there")])
         if not facts.there:
-            item.setText(1, self.tr("not there"))
             self._grey(item)
         item.setToolTip(0, facts.path)
-        item.setToolTip(1, item.text(1))
+        item.setToolTip(1, whole)
         item.setData(0, _FACTS, ("image", folder, facts))
         if facts.path in self._pictures:
             item.setIcon(0, self._pictures[facts.path])

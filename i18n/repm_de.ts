@@ -2593,6 +2593,10 @@
         <translation>{time} UTC</translation>
     </message>
     <message>
+        <source>sun {elevation}°</source>
+        <translation>Sonne {elevation}°</translation>
+    </message>
+    <message>
         <source>sun {elevation}° high in {azimuth}°</source>
         <translation>Sonne {elevation}° hoch in {azimuth}°</translation>
     </message>
