@@ -356,7 +356,6 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         for product in products_of(self.ID):
             name = product.option.upper()
             if product.style and outputs.get(name):
-                datum = fields.get("vertical_datum") if product.style == "dsm" else ""
                 styles.style_layer(
                     context,
                     feedback,
@@ -365,7 +364,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
                     kind=product.style,
                     run=run,
                     title=tr(product.layer or product.title),
-                    more=said(datum) if datum else "",
+                    more=said(self._more(product.style, outputs[name], fields)),
                 )
         if isinstance(result, PipelineResult):
             feedback.pushInfo(
@@ -375,6 +374,15 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             )
         self._scene = outputs.get("OUTPUT_SCENE") or outputs.get("SCENE")
         return outputs
+
+    def _more(self, style: str, path: str, fields: JsonMapping) -> str:
+        """What a layer's name has behind its scene: the datum of heights; of an error map the view, the altitude, and
+        whether that is before or after the refinement."""
+        if style == "error":
+            from ..repm_qgis.stages.errormap import map_title
+
+            return map_title(path)
+        return str(fields.get("vertical_datum") or "") if style == "dsm" else ""
 
     def postProcessAlgorithm(self, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> JsonObject:
         if self._scene:

@@ -62,7 +62,7 @@ STYLES = (
     Style("tiles", off=True),
     Style("footprints"),
     Style("overlaps", off=True),
-    Style("error", "viridis", off=True, template="ramp", unit=" px"),
+    Style("error", off=True),
     Style("dsm_error", "diverging", template="ramp", unit=" m"),
     Style("volumes"),
     Style("buildings"),

@@ -8,7 +8,7 @@ which; this module fills in what depends on the data (the range, and the colours
 |---|---|---|
 | dsm | elevation colours; it is a surface for profiles and 3-D views | 2..98 % of the heights |
 | hillshade | QGIS's own hillshade, multiplied with the ``dsm`` that it lies over | none |
-| error | equivalent error in px, from dark (none) to bright | 0..98 % |
+| error | equivalent error in px, in the classes and colours of the tiles | fixed classes in px |
 | dsm_error | DSM - reference, blue (too low), white, red (too high) | symmetric about 0 |
 | ept, mesh | elevation colours of the DSM that comes with them, in 3-D too; an ept with colours has these | given |
 | confidence | the expected error in m, from dark (none) to bright | 0..98 % |
@@ -58,7 +58,7 @@ from .pictures import CLASSES, RAMPS, colour_limits, percentile_range, preview, 
 from .templates import RESOURCES
 
 _SAMPLE_PX = 1200
-_FROM_ZERO = ("error", "confidence", "object_heights", "significant_level", "trend_error", "slope", "ruggedness")
+_FROM_ZERO = ("confidence", "object_heights", "significant_level", "trend_error", "slope", "ruggedness")
 _AROUND_ZERO = ("dsm_error", "differences", "differences_before", "change", "significant", "trend")
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pyproj
 
 from ..contracts.arrays import FloatArray
+from ..contracts.checks import as_text
 from ..contracts.errors import OptionError
 from ..contracts.options import ErrorMapOptions
 from ..contracts.results import ErrorMapResult
@@ -16,7 +17,7 @@ from ..geometry.cell_grid import CellGrid
 from ..geometry.frames import geodetic_from_projected
 from ..geometry.interpolation import on_lattice
 from ..geometry.tiles import enclosing
-from ..imagery.raster import RasterFrame, created
+from ..imagery.raster import RasterFrame, created, opened
 from ..names import scene_title
 from ..reports.stage_reports import errormap_report
 from ..reports.styles import write_style
@@ -28,6 +29,8 @@ _BANDS = ("magnitude (px)", "column (px)", "row (px)", "worst over the altitudes
 _CELLS = 1000  # cells along the longer side of the map
 _NODE_STEP = 8  # cells between exact errors; the error is smooth
 _LEVELS = 5
+_FACTS = ("REPM_VIEW", "REPM_ALTITUDE_M", "REPM_REFINEMENT")
+_UNREFINED = "uncorrected"
 
 
 def run(options: ErrorMapOptions, progress: Progress) -> ErrorMapResult:
@@ -46,8 +49,8 @@ def run(options: ErrorMapOptions, progress: Progress) -> ErrorMapResult:
     cell = max(scene.gsd_m, float(f"{max(whole[2] - whole[0], whole[3] - whole[1]) / _CELLS:.1g}"))
     grid = CellGrid.covering(whole, cell)
     squares, count, worst = 0.0, 0, 0.0
-    refinement = scene.refinement or "uncorrected"
-    metadata = {"REPM_VIEW": view.name, "REPM_ALTITUDE_M": altitude, "REPM_REFINEMENT": refinement}
+    refinement = scene.refinement or _UNREFINED
+    metadata = dict(zip(_FACTS, (view.name, altitude, refinement)))
     wkt = pyproj.CRS.from_user_input(scene.crs).to_wkt()
     frame = RasterFrame(grid.shape, np.float32, len(_BANDS), grid.geotransform, wkt)
     with created(options.output, frame, descriptions=_BANDS, unit="px", metadata=metadata, cog=True) as raster:
@@ -83,6 +86,14 @@ def run(options: ErrorMapOptions, progress: Progress) -> ErrorMapResult:
         altitude=altitude,
         seconds=round(time.monotonic() - start, 3),
     )
+
+
+def map_title(path: str) -> str:
+    """What an error map shows: its view, altitude, and whether that is before or after the refinement."""
+    with opened(path) as dataset:
+        view, altitude, refinement = (as_text(dataset.GetMetadataItem(name) or "") for name in _FACTS)
+    when = "before refinement" if refinement == _UNREFINED else "after refinement"
+    return f"{view}, {float(altitude):.0f} m, {when}"
 
 
 def _tile_error(

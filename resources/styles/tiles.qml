@@ -2,12 +2,12 @@
 <qgis version="3.22.0" styleCategories="Symbology|Labeling" labelsEnabled="1">
   <renderer-v2 type="graduatedSymbol" attr="worst_rmse" graduatedMethod="GraduatedColor" enableorderby="0" forceraster="0" symbollevels="0">
     <ranges>
-      <range symbol="0" lower="0.000000" upper="0.050000" label="up to 0.05 px" render="true"/>
-      <range symbol="1" lower="0.050000" upper="0.100000" label="0.05 – 0.1 px" render="true"/>
-      <range symbol="2" lower="0.100000" upper="0.300000" label="0.1 – 0.3 px" render="true"/>
-      <range symbol="3" lower="0.300000" upper="1.000000" label="0.3 – 1 px" render="true"/>
-      <range symbol="4" lower="1.000000" upper="5.000000" label="1 – 5 px" render="true"/>
-      <range symbol="5" lower="5.000000" upper="1000000000.000000" label="over 5 px" render="true"/>
+      <range symbol="0" lower="0.000000" upper="0.010000" label="up to 0.01 px" render="true"/>
+      <range symbol="1" lower="0.010000" upper="0.030000" label="0.01 – 0.03 px" render="true"/>
+      <range symbol="2" lower="0.030000" upper="0.100000" label="0.03 – 0.1 px" render="true"/>
+      <range symbol="3" lower="0.100000" upper="0.300000" label="0.1 – 0.3 px" render="true"/>
+      <range symbol="4" lower="0.300000" upper="1.000000" label="0.3 – 1 px" render="true"/>
+      <range symbol="5" lower="1.000000" upper="1000000000.000000" label="over 1 px" render="true"/>
     </ranges>
     <symbols>
       <symbol type="fill" name="0" alpha="1" clip_to_extent="1" force_rhr="0">

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+import re
 import time
 
 import numpy as np
@@ -93,7 +94,12 @@ def test_a_workspace_keeps_what_has_no_name_and_makes_nothing_twice(plugin, ears
     assert (tmp_path / "town" / "dsm_tie_points_2.qml").exists() and (tmp_path / "town" / "dsm_report.html").exists()
     errormap = QgsApplication.processingRegistry().algorithmById("repm:errormap")
     given = {"SCENE": runs[0][0]["SCENE"], "OUTPUT": "TEMPORARY_OUTPUT", "REPORT": "TEMPORARY_OUTPUT"}
-    results, fine = errormap.run(given, QgsProcessingContext(), ears())  # a stage that takes the scene up
+    context, project = QgsProcessingContext(), QgsProject()
+    context.setProject(project)
+    given["OUTPUT"] = QgsProcessingOutputLayerDefinition("TEMPORARY_OUTPUT", project)
+    results, fine = errormap.run(given, context, ears())  # a stage that takes the scene up
+    (named,) = context.layersToLoadOnCompletion().values()
+    assert re.fullmatch(r"Equivalent error town \(img_01, \d+ m, after refinement\)", named.name), named.name
     places = [pathlib.Path(results[name]).relative_to(tmp_path / "town").as_posix() for name in ("OUTPUT", "REPORT")]
     assert fine and places == ["error.tif", "equivalent_error_report.html"]
     for words in ("Reused the cameras", "Reused the refinement", "and the relative pointing"):

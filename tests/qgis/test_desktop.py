@@ -119,7 +119,8 @@ def test_an_error_map_in_the_desktop(desktop, town, tmp_path):
     found = desktop("Map the equivalent error", {"SCENE": fitted.scene, "ALTITUDE": 180})
     assert (found["chosen"], found["success"]) == ("repm:errormap", True)
     (layer,) = found["layers"]
-    assert (layer["name"], layer["valid"]) == ("Equivalent error old town", True)
+    name = "Equivalent error old town (img_01, 180 m, before refinement)"
+    assert (layer["name"], layer["valid"]) == (name, True)
     assert layer["renderer"] == "QgsSingleBandPseudoColorRenderer"
     assert layer["crs"] == "EPSG:32631"
 

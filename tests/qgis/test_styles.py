@@ -146,11 +146,19 @@ def test_labels_are_not_ghostly(styled):
         assert text.font().weight() == QFont().weight()  # 0, which is thinner than thin, where a style does not say
 
 
-def test_the_error_map_is_not_black(raster):
-    errors = np.linspace(0.0, 3e-4, 10000).reshape(100, 100)
-    layer = raster("error", errors, errors * 30)
-    light = drawn(layer, layer.extent(), (100, 100)).max(axis=2)
-    assert np.percentile(light, 10) > 80 and np.percentile(light, 95) > 200
+def test_error_maps_compare_with_each_other_and_with_tiles(raster, styled):
+    """An error has one colour in all maps, which is that of a tile with this error."""
+    sizes = (0.0, 0.02, 0.05, 0.2, 0.5, 7.0)
+    layer = raster("error", np.repeat(sizes, 20)[None].repeat(20, axis=0), np.zeros((20, 120)))
+    shown = drawn(layer, layer.extent(), (120, 20))[10, 10::20]
+    tiles = styled("tiles")
+    ranges = tiles.renderer().ranges()
+    for size, colour in zip(sizes, shown):
+        (of_tile,) = (each for each in ranges if each.lowerValue() <= size < each.upperValue())
+        outline = of_tile.symbol().symbolLayer(0).strokeColor()
+        assert np.abs(colour[:3].astype(int) - (outline.red(), outline.green(), outline.blue())).max() <= 2, size
+    bounds = [each.upperValue() for each in ranges[:-1]]
+    assert bounds == [0.01, 0.03, 0.1, 0.3, 1.0]
 
 
 def test_a_zoomed_hillshade_has_no_grid(raster):
