@@ -14,6 +14,9 @@ Level = Literal["look", "doubt"]
 """``look``: the result may be right, and somebody should look at it. ``doubt``: it contradicts what is known."""
 
 
+_TAKEN_FOR_GRANTED = ("datum-unknown",)
+
+
 class Finding(str):
     """A sentence for the user, with the figure or the file and a remedy, under an ``id`` that stays the same whatever
     the sentence says, and a ``level``."""
@@ -45,6 +48,11 @@ class Finding(str):
 def distinct(findings: Iterable[Finding]) -> List[Finding]:
     """Each sentence once, in their order."""
     return list({str(each): each for each in findings}.values())
+
+
+def by_severity(findings: Iterable[Finding]) -> List[Finding]:
+    """Each sentence once: what contradicts the result first, and what was taken for granted last."""
+    return sorted(distinct(findings), key=lambda each: (each.level != "doubt", each.id in _TAKEN_FOR_GRANTED))
 
 
 def as_percent(share: float) -> str:

@@ -471,7 +471,7 @@ class SeriesResult(Result):
     volume_m3: Annotated[
         float,
         Meaning(
-            "volume of the first area at the last date, m³; 0 without an area",
+            "volume of the first area with heights at the last date, m³; 0 without an area",
             "Volume of the first area at the last date (m³)",
         ),
     ]

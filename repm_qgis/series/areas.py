@@ -4,31 +4,36 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Callable, Dict, List, Sequence
+from itertools import count
+from typing import Callable, Dict, Iterator, List, Sequence
 
 import numpy as np
 from osgeo import ogr, osr
 
 from ..change.errors import Correlation
 from ..change.volumes import Outlines, Shapes
-from ..contracts.arrays import FloatArray, FloatImage, IntArray
+from ..contracts.arrays import FloatArray, FloatImage, IntArray, Window
 from ..contracts.errors import InputTableError, OverlapError
-from ..contracts.findings import Finding
+from ..contracts.findings import Finding, as_percent
 from ..evaluation.grids import Grid
 from ..files.tables import csv_text
 from ..files.vector import file_and_layer, open_layer, polygons_of, write_layer
 from ..geometry.frames import flat_crs
+from ..imagery import raster
+from ..runtime.progress import listed
 from ..runtime.workspace import write_text
 from .times import DatedDsm
 from .trend import trends
 
+_ROUNDING = 1e-4  # of a polygon's area that neighbours may share by it
+_LEAST_INSIDE = 0.99  # of a polygon where the DSMs lie
 _NAMES = ("name", "area", "id")  # fields that name an area
 TABLE = ("area", "date", "area_m2", "known_percent", "mean_m", "volume_m3", "deviation_m3")
 """The columns of the table: one row for each area and date."""
 
 
 class Areas(Shapes):
-    """The polygons of a layer, in any CRS; where two overlap, a cell belongs to the later one."""
+    """The polygons of a layer, in any CRS; those of one layer of :meth:`apart` do not overlap."""
 
     def __init__(self, path: str, grid: Grid, warn: Callable[[Finding], None] = lambda finding: None) -> None:
         """Raises InputTableError for a layer that cannot be used; ``warn`` hears of polygons that cross themselves."""
@@ -44,14 +49,24 @@ class Areas(Shapes):
         definition = layer.GetLayerDefn()
         fields = {definition.GetFieldDefn(i).GetName().lower(): i for i in range(definition.GetFieldCount())}
         named = next((fields[name] for name in _NAMES if name in fields), None)
-        for feature, shape in polygons_of(layer, path, "AREAS", flat, warn):
+        polygons = [(feature, shape.Clone()) for feature, shape in polygons_of(layer, path, "AREAS", flat, warn)]
+        self._layers = layers_apart([shape for _, shape in polygons])
+        for feature, shape in polygons:
             moved = ogr.Feature(self._layer.GetLayerDefn())
+            moved.SetField("sign", self._layers[len(self.names)])
             moved.SetField("number", len(self.names) + 1)
             moved.SetGeometry(shape)
             self._layer.CreateFeature(moved)
             text = feature.GetFieldAsString(named) if named is not None else ""
             self.names.append(text or str(len(self.names) + 1))
-        del feature, layer, source  # in this order, or OGR's objects outlive their file
+        del feature, polygons, layer, source  # in this order, or OGR's objects outlive their file
+
+    def apart(self, window: Window) -> Iterator[IntArray]:
+        """As :meth:`numbers`, once for each layer of polygons that do not overlap."""
+        for layer in sorted(set(self._layers)):
+            self._layer.SetAttributeFilter(f"sign={layer}")
+            yield self.numbers(window)
+        self._layer.SetAttributeFilter(None)
 
     def outlines(self) -> List[bytes]:
         """The polygons in the grid's CRS, as WKB, in their order."""
@@ -59,18 +74,39 @@ class Areas(Shapes):
         return [bytes(feature.GetGeometryRef().ExportToWkb()) for feature in self._layer]
 
 
+def layers_apart(shapes: Sequence[ogr.Geometry]) -> List[int]:
+    """For each polygon the first layer, from 0 on, in which no earlier one covers ground of it."""
+    boxes = np.array([shape.GetEnvelope() for shape in shapes])  # xmin, xmax, ymin, ymax
+    layers: List[int] = []
+    with raster.quiet():  # GEOS says where polygons cross themselves
+        for number, shape in enumerate(shapes):
+            earlier, (west, east, south, north) = boxes[:number], boxes[number]
+            near = (earlier[:, 0] < east) & (earlier[:, 1] > west) & (earlier[:, 2] < north) & (earlier[:, 3] > south)
+            taken = {layers[i] for i in np.flatnonzero(near) if _share_ground(shapes[i], shape)}
+            layers.append(next(layer for layer in count() if layer not in taken))
+    return layers
+
+
+def _share_ground(one: ogr.Geometry, other: ogr.Geometry) -> bool:
+    """Whether two polygons overlap by more than rounding; they do where that cannot be told."""
+    common = one.Intersection(other)
+    return common is None or common.GetArea() > _ROUNDING * min(one.GetArea(), other.GetArea())
+
+
 @dataclass(frozen=True)
 class AreaOverTime:
-    """One area: its outline as WKB in the grid's CRS, its size, and (dates,) how it changed since the first date.
+    """One area: its outline as WKB in the grid's CRS, its size where the DSMs lie, and (dates,) how it changed since
+    the first date.
 
-    ``known`` is the share of cells with heights at the first date and at this one, ``mean`` in m, ``volume`` and its
-    standard ``deviation`` in m3, NaN where no cell is known. ``trend`` is that of the volume, m3 per year, with its
-    standard error.
+    ``inside`` is the share of the polygon where the DSMs lie, and ``known`` that of all of it with heights at the first
+    date and at this one, ``mean`` in m, ``volume`` and its standard ``deviation`` in m3, NaN where no cell is known.
+    ``trend`` is that of the volume, m3 per year, with its standard error.
     """
 
     name: str
     outline: bytes
     area: float
+    inside: float
     known: FloatArray
     mean: FloatArray
     volume: FloatArray
@@ -118,6 +154,7 @@ class AreaSums:
         self,
         names: Sequence[str],
         outlines: Sequence[bytes],
+        grid: Grid,
         years: FloatArray,
         correlations: Sequence[Correlation],
         offset_m: FloatArray,
@@ -131,16 +168,15 @@ class AreaSums:
         """
         found = []
         for number, (name, outline) in enumerate(zip(names, outlines), start=1):
-            if not self.cells[number]:
-                continue
-            area = self.cells[number] * cell_m2
+            inside = _inside(outline, grid) if self.known[:, number].any() else 0.0
+            area, cells = self.cells[number] * cell_m2, max(self.cells[number], 1.0)
             known = self.known[:, number]
             with np.errstate(invalid="ignore", divide="ignore"):
                 mean = self.change[:, number] / known
                 spread = np.sqrt(np.maximum(self.squares[:, number] / known - mean**2, 0.0))
                 own, first = (values[:, number] / known for values in (self.variance, self.first_variance))
             shares = np.array([each.variance_share(max(area, cell_m2)) for each in correlations])
-            gaps = (1 - known / self.cells[number]) * spread
+            gaps = (1 - known / cells) * spread
             date_error = np.sqrt(own * shares + offset_m**2 + gaps**2)
             whole = np.hypot(date_error, np.sqrt(first * shares))
             deviation = area * np.where(np.arange(len(years)) == 0, 0.0, whole)
@@ -150,7 +186,8 @@ class AreaSums:
                 name=name,
                 outline=outline,
                 area=area,
-                known=known / self.cells[number],
+                inside=inside,
+                known=inside * known / cells,
                 mean=mean,
                 volume=volume,
                 deviation=deviation,
@@ -166,12 +203,30 @@ def outlined(outlines: Outlines) -> Dict[str, bytes]:
     return {str(number): outline for number, _, outline in outlines}
 
 
-def require_inside(found: Sequence[AreaOverTime], path: str) -> None:
-    """Raise OverlapError where no area lies where the DSMs do."""
+def _inside(outline: bytes, grid: Grid) -> float:
+    """The share of a polygon that lies within a grid's bounds; all of one that crosses itself, and has no area."""
+    shape, (west, south, east, north) = ogr.CreateGeometryFromWkb(outline), grid.bounds
+    frame, ring = ogr.Geometry(ogr.wkbPolygon), ogr.Geometry(ogr.wkbLinearRing)
+    for x, y in ((west, south), (east, south), (east, north), (west, north), (west, south)):
+        ring.AddPoint_2D(x, y)
+    frame.AddGeometry(ring)
+    with raster.quiet():
+        common = shape.Intersection(frame)
+    return min(common.GetArea() / shape.GetArea(), 1.0) if common is not None and shape.GetArea() > 0 else 1.0
+
+
+def inside_findings(found: Sequence[AreaOverTime], path: str) -> List[Finding]:
+    """The areas that are cut by the DSMs' bounds, or have no heights. Raises OverlapError where none has heights."""
     if not any((each.known > 0).any() for each in found):
         raise OverlapError(
             f"No polygon of '{path}' has heights of the DSMs: choose areas that lie where at least three DSMs do."
         )
+    cut = [each for each in found if each.inside < _LEAST_INSIDE]
+    if not cut:
+        return []
+    named = listed([f"{each.name} ({as_percent(each.inside)})" for each in cut])
+    text = f"Areas of '{path}' that lie only in part where the DSMs have heights, or not at all: {named}"
+    return [Finding("areas-outside", f"{text}. Volumes are those of this part: use DSMs that cover all of them.")]
 
 
 def write_areas(path: str, grid: Grid, series: Sequence[DatedDsm], found: Sequence[AreaOverTime]) -> None:

@@ -32,9 +32,9 @@ from ..imagery import raster
 from ..numerics.robust import nmad
 from ..reports import verdict
 from ..reports.parameters import VERDICT
-from ..runtime.progress import Part, Progress
+from ..runtime.progress import Part, Progress, warn_all
 from ..runtime.workspace import temporary_folder
-from .areas import AreaOverTime, Areas, AreaSums, outlined, require_inside, write_areas, write_table
+from .areas import AreaOverTime, Areas, AreaSums, inside_findings, outlined, write_areas, write_table
 from .errors import DateErrors, errors_of_dates
 from .parameters import SERIES, SeriesParameters
 from .surfaces import SeriesCells, Stack
@@ -337,14 +337,16 @@ class _Work:
         for index, (own, wide) in enumerate(blocks):
             progress.check_cancelled()
             progress.step(0.4 + 0.6 * index / len(blocks), f"block {index + 1} of {len(blocks)}")
-            numbers = shapes.numbers(own)
-            if numbers.any():
+            layers = shapes.apart(own) if isinstance(shapes, Areas) else [shapes.numbers(own)]
+            layers = [numbers for numbers in layers if numbers.any()]
+            if layers:
                 cells, (rows, columns) = self._surfaces.read(wide), own.inside(wide)
                 spread = errors.of_cells(cells, offsets=False)[:, rows, columns]
-                sums.add(numbers, cells.heights[:, rows, columns], spread)
-        found = sums.over_time(names, wkbs, self._years, correlations, offset_m, self._surfaces.cell_m2)
+                for numbers in layers:
+                    sums.add(numbers, cells.heights[:, rows, columns], spread)
+        found = sums.over_time(names, wkbs, self._grid, self._years, correlations, offset_m, self._surfaces.cell_m2)
         if self._options.areas:
-            require_inside(found, self._options.areas)
+            warn_all(progress, inside_findings(found, self._options.areas))
         else:
             found.sort(key=lambda each: -abs(each.volume[each.last]))
             found = [replace(each, name=str(number)) for number, each in enumerate(found, start=1)]

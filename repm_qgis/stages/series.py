@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from ..contracts.options import SeriesOptions
 from ..contracts.products import paths_of
 from ..contracts.results import SeriesResult
@@ -44,7 +46,7 @@ def _followed(options: SeriesOptions, progress: Progress) -> SeriesResult:
         series_page(options, found).of(dates_title(*paths)).write(options.report, run)
     _log(found, progress)
     progress.step(1.0, "Done")
-    first = found.areas[0] if found.areas else None
+    first = next((each for each in found.areas if math.isfinite(each.volume[each.last])), None)
     return SeriesResult(
         output=options.output,
         trend=options.trend,

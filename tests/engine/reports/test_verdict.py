@@ -205,3 +205,14 @@ def test_a_mosaic_is_judged_by_what_the_offsets_leave():
     assert "1 of 3, at most 1.20 m (DSMs 1 and 3)" in finding
     (finding,) = verdict.of_mosaic([*fine, verdict.Difference(2, 3, 0.1, 31.0)])
     assert "do not show the same surface: 1 of 3; those of DSMs 2 and 3 differ by 31.0 m (NMAD" in finding
+
+
+def test_what_contradicts_a_result_stands_before_what_was_taken_for_granted():
+    run = [
+        Finding("datum-unknown", "No datum is stated."),
+        Finding("coverage-low", "Few heights."),
+        Finding("relief-other", "Another town.", "doubt"),
+    ]
+    page = plain(Report("A check", "of a DSM").verdict("Good.", run[:1]).html(run))
+    assert page.index("Another town.") < page.index("Few heights.") < page.index("No datum is stated.")
+    assert page.count("No datum is stated.") == 1

@@ -241,6 +241,49 @@ def test_an_area_that_crosses_itself_is_named(dates, tmp_path, told):
         assert [each.id for each in said.warnings if "areas.geojson" in each] == ["polygons-crossed"] * crossed
 
 
+def volumes_of(dates, folder, told, boxes):
+    """The rows of the table at the last date, by their areas, and the ids of the warnings."""
+    table, said = str(folder / "t.csv"), told()
+    areas = polygons(folder / "areas.geojson", boxes)
+    made = {"output": str(folder / "stack.tif"), "dsms": dates, "areas": areas, "table": table}
+    result = run_stage("series", made, said)
+    with open(table, newline="", encoding="utf-8") as stream:
+        rows = {row["area"]: row for row in csv.DictReader(stream) if row["date"] == DAYS[-1]}
+    return rows, [each.id for each in said.warnings], result
+
+
+def test_areas_that_overlap_have_their_whole_volumes(dates, tmp_path, told):
+    """A slope within the pit's area, and one beside it: each has what it has alone, whatever the order."""
+    x, y = PLACE
+    boxes = {
+        "pit": (x + 25, y - 205, x + 85, y - 145),
+        "half": (x + 25, y - 205, x + 55, y - 145),
+        "beside": (x + 85, y - 205, x + 100, y - 145),
+        "twin": (x + 25, y - 205, x + 85, y - 145),
+    }
+    rows, said, result = volumes_of(dates, tmp_path, told, boxes)
+    assert result.areas == 4 and not said
+    assert float(rows["pit"]["area_m2"]) == pytest.approx(2 * float(rows["half"]["area_m2"]), rel=1e-3)
+    assert rows["pit"]["volume_m3"] == rows["twin"]["volume_m3"]
+    for name, true in (("pit", -2500 * 3), ("half", -25 * 50 * 3), ("beside", 0)):
+        assert float(rows[name]["volume_m3"]) == pytest.approx(true, abs=3 * float(rows[name]["deviation_m3"]) + 10)
+
+
+def test_areas_beyond_the_dsms_are_named_and_stay_in_the_table(dates, tmp_path, told):
+    x, y = PLACE
+    boxes = {
+        "far": (x - 2000, y - 205, x - 1900, y - 145),
+        "cut": (x + 220, y - 100, x + 320, y - 50),
+        "pit": (x + 25, y - 205, x + 85, y - 145),
+    }
+    rows, said, result = volumes_of(dates, tmp_path, told, boxes)
+    assert said == ["areas-outside"] and list(rows) == list(boxes)
+    assert float(rows["far"]["known_percent"]) == 0 and not rows["far"]["volume_m3"]
+    assert float(rows["cut"]["known_percent"]) == pytest.approx(20, abs=0.1)
+    assert float(rows["pit"]["known_percent"]) == 100
+    assert result.volume_m3 == pytest.approx(float(rows["cut"]["volume_m3"]), abs=0.01)
+
+
 def test_without_areas_the_changes_are_outlined(whole):
     folder, result = whole
     source = ogr.Open(str(folder / "v.gpkg"))
