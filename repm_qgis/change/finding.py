@@ -26,6 +26,7 @@ from ..geometry.cell_grid import overlapping_blocks
 from ..geometry.frames import flat_crs
 from ..imagery import raster
 from ..numerics.robust import nmad
+from ..reports import verdict
 from ..runtime.progress import Part, Progress
 from ..runtime.workspace import temporary_folder
 from .detection import detect
@@ -127,6 +128,10 @@ class _Work:
         progress.step(0.02, "Alignment on stable ground")
         surfaces.alignment = lay_on(surfaces, self._options.align, stable, progress)
         beside = displacement(surfaces, self._options.align, progress)
+        left: List[Finding] = []
+        if self._options.align == "none":
+            apart = lay_on(surfaces, "vertical", stable, progress)
+            left = verdict.of_offset(-apart.dz, apart.nmad_after)
         progress.step(0.2, "Errors on stable ground")
         samples = [surfaces.read(window) for window in surfaces.samples()]
         model = fitted_model(samples, self._cell_m, self._parameters.errors)
@@ -166,6 +171,8 @@ class _Work:
                     self._options.after, self._options.before, (drawn["after"], drawn["before"]), side, beside
                 ),
                 *partial_finding(shared, (self._options.before, self._options.after)),
+                *left,
+                *verdict.of_unsure(self._unsure, self._parameters.detection.support_alone * level),
             ],
         )
 
@@ -236,6 +243,7 @@ class _Work:
             plan = self._parameters.detection
             least_m2 = plan.support_share * self._options.min_area
             changes = sums.changes(outlines, model, correlation, cell_m2, offset_m, least_m2, plan)
+            self._unsure = [] if self._surfaces.stated else sums.unsupported(cell_m2, least_m2)
             with ExitStack() as stack:
                 target = None
                 if self._options.significant:

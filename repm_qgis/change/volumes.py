@@ -201,7 +201,7 @@ class Sums:
         found = []
         for number, gain, outline in outlines:
             cells, sign = self.cells[number], 1.0 if gain else -1.0
-            if not self.supported[number] or self.supported[number] * cell_m2 < least_m2:
+            if not self._is_supported(number, cell_m2, least_m2):
                 continue
             area = float(cells * cell_m2)
             mean = float(self.change[number] / cells)
@@ -213,6 +213,17 @@ class Sums:
                 largest = sign * float(self.largest[number])
                 found.append(Changed(number, outline, gain, int(cells), area, mean, largest, area * mean, deviation))
         return sorted(found, key=lambda each: -abs(each.volume))
+
+    def unsupported(self, cell_m2: float, least_m2: float) -> List[float]:
+        """The areas of the parts, m2, whose cores are so large, and that no error explains on less of them."""
+        return [
+            float(self.cells[number]) * cell_m2
+            for number in np.flatnonzero(self.core[1:] * cell_m2 >= least_m2) + 1
+            if not self._is_supported(number, cell_m2, least_m2)
+        ]
+
+    def _is_supported(self, number: int, cell_m2: float, least_m2: float) -> bool:
+        return bool(self.supported[number] and self.supported[number] * cell_m2 >= least_m2)
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,7 @@ class GateParameters(Parameters):
     object_m: float = 3.0  # above that opening: a storey
     object_m2: float = 100.0  # that stand so high, and this share of the overlap
     object_share: float = 0.01
+    least_objects: int = 4  # of them that are missing: a single heap or hall is a change
     most_gone: float = 0.8  # of the cells that stand so high in one DSM, and less than half as high in another
     near_m: float = (
         5.0  # of a DSM's heights to a terrain, where ground is compared with ground; larger misfits count so
@@ -61,6 +62,9 @@ class GateParameters(Parameters):
     far_spreads: float = 5.0  # so many standard deviations of it: real pairs have 1 to 20 % of such cells
     least_burst_m: float = 10.0  # of heights in one piece, from the others' difference to a reference; and far_spreads
     most_burst: float = 0.01  # of the heights: real DSMs and lidar have up to 0.4 %, of what was built between
+    most_stray: float = 0.001  # of the heights, that no height of the reference explains
+    most_apart: float = 0.05  # of the heights, far_spreads away from the others in one step; and
+    step_spreads: float = 2.0  # so many spreads of these wide: trees and errors of matching have 10 and more
     class_search_m: float = 60.0  # around a class raster's place, where it is looked for; at most a quarter of its side
     most_unexplained: float = 0.6  # of the variance of heights by classes, at the best place: districts have 0.7 to 1
     class_height_m: float = 10.0  # above the open ground, from which on heights are alike

@@ -16,6 +16,7 @@ from ..registration.parameters import REGISTRATION
 from ..registration.solve import half_spread, mode, other_relief
 from .open_ground import robust_plane
 from .parameters import GATE, GateParameters
+from .surfaces import bare_findings
 
 
 def relief_findings(
@@ -70,7 +71,7 @@ def date_findings(
         text = f"'{path}' fits to '{other}' better {beside:.1f} m beside its place"
         remedy = "check the CRS and the place of both, or set ALIGN to 3d"
         found.append(Finding("dates-displaced", f"{text}: {remedy}.", "doubt"))
-    return found
+    return found + bare_findings([heights], (cell_m, cell_m), (f"'{path}'", f"'{other}'"))
 
 
 def of_dsm(path: str, findings: Iterable[Finding]) -> List[Finding]:
@@ -98,6 +99,29 @@ def block_findings(
             text = f"{share} of the heights, in one piece, lie {by:+.1f} m from those of '{path}'"
             found.append(Finding("piece-off", f"{text}: see 'Pictures'."))
     return found
+
+
+def stray_findings(
+    own: FloatImage, reference: FloatImage, path: str, parameters: GateParameters = GATE
+) -> List[Finding]:
+    """Whether heights (rows, columns; m) differ from a reference's by more than its whole relief, or many of them by
+    one and the same step: no NMAD shows these, nor do errors of matching look so."""
+    away = (own - reference)[np.isfinite(own) & np.isfinite(reference)].astype(np.float64)
+    if away.size < parameters.open_cells:
+        return []
+    middle, spread = mode(away, 0.5), max(half_spread(away), parameters.open_least_m)
+    most = float(np.nanmax(reference) - np.nanmin(reference)) + parameters.least_burst_m
+    stray = float(np.mean(np.abs(away - middle) > most))
+    if stray > parameters.most_stray:
+        text = f"{as_percent(stray)} of the heights lie more than {most:.0f} m from those of '{path}'"
+        remedy = "which span less than that: take the DSM's gross errors out (repm:editdsm)"
+        return [Finding("heights-stray", f"{text}, {remedy}.", "doubt")]
+    apart = away[np.abs(away - middle) > max(parameters.least_far_m, parameters.far_spreads * spread)]
+    if apart.size > parameters.most_apart * away.size and half_spread(apart) < parameters.step_spreads * spread:
+        share, step = as_percent(apart.size / away.size), mode(apart, 0.5) - middle
+        text = f"{share} of the heights lie {step:+.1f} m from the others, against those of '{path}': see 'Pictures'."
+        return [Finding("heights-stepped", text, "doubt")]
+    return []
 
 
 def far_share(own: FloatImage, other: FloatImage, parameters: GateParameters = GATE) -> float:

@@ -73,19 +73,36 @@ def overlap_findings(
             "register both (repm:register), or leave one out."
         )
         found.append(Finding("overlap-tilted", text, "doubt"))
-    raised, narrow = [], replace(parameters, open_width_m=parameters.object_width_m)
+    return found + bare_findings(patches, cell, names, parameters)
+
+
+def bare_findings(
+    patches: Sequence[Patch], cell: Tuple[float, float], names: Tuple[str, str], parameters: GateParameters = GATE
+) -> List[Finding]:
+    """Whether one of two DSMs lacks what stands on the ground in the other; arguments as for
+    :func:`overlap_findings`."""
+    from scipy import ndimage  # QGIS's own process may lack it
+
+    found: List[Finding] = []
+    narrow, raised, factor = replace(parameters, open_width_m=parameters.object_width_m), [], 1
     for patch in patches:
-        coarse, low = zip(*(opened_surface(heights, cell, narrow)[:2] for heights in patch))
-        both = np.isfinite(coarse).all(axis=0)
-        raised.append((np.stack(coarse) - np.stack(low))[:, both])
-    objects = np.concatenate([np.empty((2, 0)), *raised], axis=1)
-    for own, other, (name, bare) in ((*objects, names), (*objects[::-1], names[::-1])):
-        stands = own > parameters.object_m
-        gone = float(np.mean(other[stands] < own[stands] / 2)) if stands.any() else 0.0
-        least = max(parameters.object_m2 / abs(cell[0] * cell[1]), parameters.object_share * stands.size)
-        if stands.sum() >= least and gone > parameters.most_gone:
+        (own, own_low, factor), (other, other_low, _) = (opened_surface(heights, cell, narrow) for heights in patch)
+        both = np.isfinite(own) & np.isfinite(other)
+        raised.append(
+            [np.where(both, high - low, np.float32(np.nan)) for high, low in ((own, own_low), (other, other_low))]
+        )
+    cells = sum(int(np.isfinite(own).sum()) for own, _ in raised)
+    least = max(parameters.object_m2 / abs(cell[0] * cell[1]) / factor**2, parameters.object_share * cells)
+    for here, there, name, bare in ((0, 1, *names), (1, 0, *names[::-1])):
+        with np.errstate(invalid="ignore"):
+            stands = [patch[here] > parameters.object_m for patch in raised]
+            gone = [each & (patch[there] < patch[here] / 2) for each, patch in zip(stands, raised)]
+        stand = sum(int(each.sum()) for each in stands)
+        share = sum(int(each.sum()) for each in gone) / max(stand, 1)
+        objects = sum(ndimage.label(each)[1] for each in gone)
+        if stand >= least and share > parameters.most_gone and objects >= parameters.least_objects:
             text = (
-                f"{as_percent(gone)} of what stands more than {parameters.object_m:g} m high in {name} is missing in "
+                f"{as_percent(share)} of what stands more than {parameters.object_m:g} m high in {name} is missing in "
                 f"{bare}, which may be a terrain: give DSMs only."
             )
             found.append(Finding("overlap-bare", text, "doubt"))

@@ -13,7 +13,7 @@ from ..evaluation.comparison import Comparison
 from ..evaluation.grids import Grid, cell_sides
 from ..evaluation.metrics import HeightMetrics
 from ..gate.places import displaced_by
-from ..gate.reliefs import block_findings, relief_findings
+from ..gate.reliefs import block_findings, relief_findings, stray_findings
 from ..geometry.frames import flat_crs, vertical_part
 from ..numerics.accuracy import EXPLAINED
 from . import charts, pictures, verdict
@@ -113,6 +113,7 @@ def _place_findings(one: Comparison, bounds: VerdictParameters = VERDICT) -> Lis
     beside = displaced_by([(ours, theirs)], side) if one.alignment.method in ("none", "vertical") else 0.0
     found = relief_findings(ours, theirs, side, one.reference.path, beside)
     found += block_findings(ours, theirs, one.reference.path) if not found else []
+    found += stray_findings(ours, theirs, one.reference.path) if not found else []
     relief = any(each.id == "relief-other" for each in found)
     moved, cell = one.alignment, max(map(abs, one.cell_m))
     along = float(np.hypot(moved.dx, moved.dy))

@@ -23,7 +23,7 @@ class VerdictParameters(Parameters):
         30.0  # by an alignment, along the ground: images without control points differ by less, or ...
     )
     most_moved_cells: float = 3.0  # ... by so many cells
-    most_raised_m: float = 110.0  # and up: more than any geoid
+    most_raised_m: float = 10.0  # and up: images without control points differ by metres, geoids by more
     least_points: int = 4  # ground control points: with fewer, none can be called wrong
     most_points_m: float = 3.0  # spread of a DSM's errors at them (RMS), or a cell: a storey, as where a place is wrong
     most_points_left_m: float = 1.0  # the same by the shortest half, or a cell, where it is more than this share of ...

@@ -323,6 +323,31 @@ def of_change(
     return found
 
 
+def of_offset(offset_m: float, nmad_m: float, bounds: VerdictParameters = VERDICT) -> List[Finding]:
+    """The finding of the second of two dates that lies so much higher as a whole, where nothing removes it: the
+    differences then spread by this NMAD."""
+    if abs(offset_m) <= max(bounds.most_bias_nmads * nmad_m, bounds.most_bias_m):
+        return []
+    text = (
+        f"AFTER lies {offset_m:+.2f} m from BEFORE as a whole, and the level of detection counts this as an error: set "
+        "ALIGN to vertical or 3d, which removes it, if it is no change of the ground."
+    )
+    return [Finding("dates-apart", text)]
+
+
+def of_unsure(areas: Sequence[float], least_m: float) -> List[Finding]:
+    """The finding of parts with these areas (m2) that differ by more than the level of detection, and are no change, as
+    no expected errors are known and they differ by less than ``least_m`` on level ground."""
+    if not areas:
+        return []
+    text = (
+        f"{sum(areas):.0f} m2 in {counted(len(areas), 'part')} differ by more than the level of detection and are not "
+        f"counted: without expected errors, only what differs by {least_m:.1f} m or more is. Give BEFORE_CONFIDENCE "
+        "and AFTER_CONFIDENCE, or look at the difference there."
+    )
+    return [Finding("changes-unsure", text)]
+
+
 def of_shift(shift: Tuple[float, float, float], bounds: VerdictParameters = VERDICT) -> List[Finding]:
     """The findings of the shift (m east, north, up) between two dates that an alignment removed."""
     found, (dx, dy, dz) = [], shift

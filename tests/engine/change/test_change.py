@@ -378,3 +378,26 @@ def test_a_change_beside_the_edge_of_a_window_is_the_same(dates):
     for name in ("change", "core"):
         assert np.array_equal(getattr(of_all, name)[part][inner], getattr(of_part, name)[inner], equal_nan=True)
     assert of_part.core.any()
+
+
+@pytest.mark.parametrize(
+    ("changed", "area"), ((BUILT, 400), ((slice(0, 60), slice(None)), 4500)), ids=("a house", "a fifth of the ground")
+)
+def test_what_differs_and_is_not_counted_is_named(changed, area, tmp_path, told):
+    """Without expected errors a change needs eight levels of detection, and 3.5 m are four of them here."""
+    before, after = ground() + noise(1, 0.3), ground() + noise(2, 0.3)
+    after[changed] += 3.5
+    paths = [write(tmp_path / f"{name}.tif", [each]) for name, each in (("a", before), ("b", after))]
+    said = told()
+    found = run_stage("change", {"before": paths[0], "after": paths[1], "output": str(tmp_path / "d.tif")}, said)
+    named = next(each for each in said.warnings if each.id == "changes-unsure")
+    assert found.changes == 0 and float(named.split()[0]) == pytest.approx(area, rel=0.1)
+    assert float(re.search(r"differs by ([\d.]+) m", named)[1]) == pytest.approx(8 * found.level_m, abs=0.06)
+
+
+@pytest.mark.parametrize(("align", "ids"), (("none", ["dates-apart"]), ("vertical", [])))
+def test_an_offset_that_nothing_removes_is_named(align, ids, tmp_path, told):
+    paths = [write(tmp_path / f"{seed}.tif", [ground() + noise(seed) + up]) for seed, up in ((1, 0.0), (2, 0.6))]
+    said, made = told(), {"output": str(tmp_path / "d.tif"), "align": align}
+    run_stage("change", {"before": paths[0], "after": paths[1], **made}, said)
+    assert [each.id for each in said.warnings] == ids

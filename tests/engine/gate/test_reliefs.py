@@ -122,3 +122,44 @@ def test_heights_in_centimetres_are_refused_as_what_they_are(stage, align, tmp_p
     ground = town(base=300.0)
     with pytest.raises(ImageError, match="1.tif' can be a height in metres .*: state the unit of its band, such as cm"):
         compared(tmp_path, stage, 100 * ground, align, reference=ground)
+
+
+@pytest.mark.parametrize("stage", ("change", "series"))
+@pytest.mark.parametrize("bare", ("first", "second"))
+def test_bare_earth_as_a_date_is_named(stage, bare, tmp_path):
+    """The terrain below the town: its houses would be what was built or taken away."""
+    ground = 2.0 + np.sin(COLUMNS / 27) * np.cos(ROWS / 25)
+    made = {"heights": ground} if bare == "second" else {"heights": town(), "reference": ground}
+    found = compared(tmp_path, stage, **made)
+    assert any(each.id == "overlap-bare" and each.level == "doubt" for each in found)
+
+
+def test_a_new_hall_and_a_heap_are_no_bare_earth(tmp_path):
+    ground = 2.0 + np.sin(COLUMNS / 27) * np.cos(ROWS / 25)
+    built = ground.copy()
+    built[40:60, 40:60] += 8.0
+    built[140:160, 40:60] += 5.0
+    assert not compared(tmp_path, "change", built, reference=ground)
+
+
+def scattered(share, by):
+    return town() + by * (np.random.default_rng(5).random((SIDE, SIDE)) < share)
+
+
+@pytest.mark.parametrize(
+    ("heights", "align", "named"),
+    (
+        (lambda: scattered(0.4, 3.0), "none", "heights-stepped"),
+        (lambda: town() + 3.0 * (ROWS < 96), "vertical", "heights-stepped"),
+        (lambda: scattered(0.02, 50.0), "3d", "heights-stray"),
+        (lambda: town() - 30.0, "3d", "moved-far"),
+    ),
+)
+def test_what_no_nmad_shows_is_named_by_a_comparison(heights, align, named, tmp_path):
+    assert [each.id for each in compared(tmp_path, "comparedsm", heights(), align)] == [named]
+
+
+def test_crowns_and_errors_of_matching_are_no_step(tmp_path):
+    rng = np.random.default_rng(6)
+    errors = rng.normal(0, 0.5, (SIDE, SIDE)) + (rng.random((SIDE, SIDE)) < 0.3) * rng.exponential(4, (SIDE, SIDE))
+    assert not compared(tmp_path, "comparedsm", town() + errors)
