@@ -172,7 +172,7 @@ class _Work:
                 ),
                 *partial_finding(shared, (self._options.before, self._options.after)),
                 *left,
-                *verdict.of_unsure(self._unsure, self._parameters.detection.support_alone * level),
+                *verdict.of_unsure([] if beside else self._unsure, self._parameters.detection.support_alone * level),
             ],
         )
 

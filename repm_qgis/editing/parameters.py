@@ -16,6 +16,8 @@ class EditingParameters(Parameters):
     shore_percentile: float = FUSION.water.shore_percentile  # of its heights, as where water is found in images
     looked_px: int = 256  # side of the picture of the heights around an edit
     far_m: float = 30.0  # from all of these to a height that an edit sets: more than houses
+    line_far_m: float = 10.0  # the same to the vertices of a breakline, which follow the ground
+    most_edited: float = 0.5  # of a DSM's cells that one edit may replace or remove
     drawn_m: float = 1.0  # the same where all vertices of a line have 0
     most_solved: int = 1_000_000  # cells of a window whose fill is solved as a whole; of more, on coarser cells
     accurate_m: float = 1e-4  # how exactly a fill is solved

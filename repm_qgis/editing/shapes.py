@@ -125,7 +125,8 @@ def height_findings(
                     break
             away = np.maximum(around.min() - values, values - around.max()) if around.size else np.zeros(1)
             worst = int(away.argmax())
-            if away[worst] > (parameters.drawn_m if len(values) > 1 and not values.any() else parameters.far_m):
+            far = parameters.line_far_m if edit.operation == "breakline" else parameters.far_m
+            if away[worst] > (parameters.drawn_m if len(values) > 1 and not values.any() else far):
                 text = (
                     f"Edit {edit.number} has the height {values[worst]:g} m, {away[worst]:.0f} m beyond all heights of "
                     f"'{dsm}' around it: check its value, or the heights of its vertices and their datum."

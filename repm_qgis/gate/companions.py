@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Callable, List, Optional, Tuple
+from typing import Callable, List, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import gdal
@@ -17,13 +17,14 @@ from ..evaluation.parameters import EVALUATION
 from ..imagery.confidence import confidence_bands
 from ..imagery.heights import read_heights, read_values
 from ..imagery.raster import opened
-from ..numerics.robust import NMAD_FACTOR
+from ..numerics.robust import NMAD_FACTOR, nmad
 from ..registration.parameters import REGISTRATION
 from ..registration.solve import mode, other_relief
 from .open_ground import open_ground
 from .parameters import GATE, GateParameters
 from .places import ROWS, displaced_by
 
+_LEAST_DRAPED = 0.5  # of a DSM's heights: differences and errors may have gaps of their own
 _FEW_ROWS = 64  # of a raster, for medians
 
 
@@ -220,6 +221,31 @@ def picture_findings(dsm: str, picture: str, share: float, parameters: GateParam
         return []
     text = f"The picture '{picture}' shows {as_percent(share)} of the heights of '{dsm}'"
     return [Finding("picture-partial", f"{text}: the rest has no colours.")]
+
+
+def draped_findings(
+    dsm: str, path: str, heights: FloatImage, bands: Sequence[FloatImage], kind: str, parameters: GateParameters = GATE
+) -> List[Finding]:
+    """What is to be known of a raster of this kind ("ortho", "confidence", "dsm_error") whose bands (rows, columns)
+    are draped over heights of the same cells, m: how many of these it has values for, whether a picture shows nothing,
+    and whether differences are heights."""
+    both = np.isfinite(heights) & np.isfinite(bands[0])
+    share = float(both.sum()) / max(int(np.isfinite(heights).sum()), 1)
+    found = picture_findings(dsm, path, share, parameters) if kind == "ortho" else []
+    if kind != "ortho" and share < _LEAST_DRAPED:
+        text = f"The raster '{path}' has values for {as_percent(share)} of the heights of '{dsm}'"
+        found = [Finding("raster-partial", f"{text}: the rest has no colours.")]
+    if not both.any():
+        return found
+    if kind == "ortho" and all(np.ptp(np.percentile(band[both], (1.0, 99.0))) == 0.0 for band in bands):
+        text = f"The picture '{path}' has one colour nearly everywhere"
+        found.append(Finding("picture-blank", f"{text}: check that it is the orthophoto of this DSM."))
+    if kind == "dsm_error":
+        own, away = heights[both], bands[0][both] - heights[both]
+        if nmad(away) < nmad(own) / 2 and abs(np.median(away)) < abs(np.median(own)) / 10:
+            text = f"The differences in '{path}' are nearly the heights of '{dsm}'"
+            found.append(Finding("difference-heights", f"{text}: give the difference of two DSMs.", "doubt"))
+    return found
 
 
 def share_under(picture: gdal.Dataset, dsm: gdal.Dataset) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..contracts.checks import as_text
 from ..contracts.documents import Keywords
-from ..contracts.findings import Finding
+from ..contracts.findings import Finding, as_percent
 from ..contracts.options import EditDsmOptions
 from ..contracts.products import product
 from ..contracts.results import EditDsmResult
@@ -82,6 +82,9 @@ def run(options: EditDsmOptions, progress: Progress, parameters: EditingParamete
             if not applied.cells:
                 text = f"Edit {edit.number} covers no cell of the DSM: it changes nothing."
                 progress.warn(Finding("edit-outside", text))
+            if edit.operation != "fill" and applied.cells > parameters.most_edited * cells:
+                text = f"Edit {edit.number} replaces or removes {as_percent(applied.cells / cells)} of the DSM's cells"
+                progress.warn(Finding("edit-large", f"{text}: check its polygon.", "doubt"))
             found = {**edit.record(), "cells": applied.cells}
             if applied.level is not None:
                 found["level"] = applied.level

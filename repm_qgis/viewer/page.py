@@ -24,7 +24,7 @@ from ..contracts.errors import EmptyResultError
 from ..contracts.options import ViewerOptions
 from ..contracts.products import STYLES
 from ..evaluation.grids import Grid, metres_per_unit
-from ..gate.companions import error_findings, picture_findings
+from ..gate.companions import draped_findings, error_findings
 from ..geometry.frames import flat_crs, vertical_part
 from ..geometry.vertical import TAG
 from ..imagery import raster
@@ -166,9 +166,7 @@ def _draped(
     if kind == "ortho":
         byte = dataset.GetRasterBand(1).DataType == gdal.GDT_Byte
         bands = [values_of(band) for band in _bands(dataset)]
-        known = np.isfinite(heights)
-        share = np.isfinite(bands[0])[known].mean()
-        warn_all(progress, picture_findings(cells.path, dataset.GetDescription(), float(share)))
+        warn_all(progress, draped_findings(cells.path, dataset.GetDescription(), heights, bands, kind))
         picture = np.stack([_grey(values, byte) for values in bands], axis=-1)
         data = base64.b64encode(jpeg_bytes(picture, parameters.jpeg_quality)).decode("ascii")
         return {"kind": kind, "picture": data}
@@ -178,6 +176,7 @@ def _draped(
         with raster.opened(cells.path) as dsm:
             warn_all(progress, error_findings(dsm, dataset, band, "CONFIDENCE"))
     values = values_of(band)
+    warn_all(progress, draped_findings(cells.path, dataset.GetDescription(), heights, [values], kind))
     low, high = value_range(kind, values)
     known = np.isfinite(values)
     scaled = np.clip((np.where(known, values, low) - low) / (high - low), 0.0, 1.0)

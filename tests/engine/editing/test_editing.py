@@ -408,6 +408,7 @@ def test_what_is_no_height_is_not_set(tmp_path, value, words):
         ("breakline", line((20, 50, 0.0), (220, 50, 0.0)), None, "has the height 0 m, 100 m"),
         ("breakline", line((20, 50, 101.0), (220, 50, 700.0)), None, "has the height 700 m, 59"),
         ("breakline", line((20, 50, 110.0), (220, 50, 112.0)), None, ""),
+        ("breakline", line((20, 50, 121.0), (220, 50, 125.0)), None, "has the height 125 m, 21"),
         ("breakline", line((20, 50), (220, 50)), None, ""),
         ("set", box(100, 100, 110, 110), 0.0, "has the height 0 m, 101 m"),
         ("set", box(100, 100, 110, 110), 420.0, "has the height 420 m, 31"),
@@ -421,6 +422,13 @@ def test_heights_far_from_the_ground_are_named(tmp_path, operation, wkt, value, 
     edited(tmp_path, written(tmp_path), edit(1, operation, wkt, value=value, width=4.0), progress=heard)
     assert [each.id for each in heard.findings] == (["edit-far"] if named else [])
     assert all(named in each and "beyond all heights of" in each for each in heard.findings)
+
+
+@pytest.mark.parametrize(("right", "ids"), ((240, ["edit-large"]), (60, [])))
+def test_an_edit_that_removes_most_of_a_dsm_is_named(tmp_path, right, ids):
+    heard = Heard()
+    edited(tmp_path, written(tmp_path), edit(1, "remove", box(0, 0, right, 180)), progress=heard)
+    assert [each.id for each in heard.findings] == ids
 
 
 def test_a_line_drawn_without_heights_is_named_near_the_sea_too(tmp_path):

@@ -19,7 +19,7 @@ from osgeo import gdal
 from repm_qgis.contracts.errors import EmptyResultError, ImageError, OptionError, OverlapError
 from repm_qgis.evaluation.grids import Grid
 from repm_qgis.imagery.raster import opened, write
-from repm_qgis.runtime.progress import Silent
+from repm_qgis.runtime.progress import Recorder, Silent
 from repm_qgis.runtime.translation import written_in
 from repm_qgis.stages import run_stage
 from repm_qgis.viewer.parameters import ViewerParameters
@@ -326,3 +326,22 @@ def test_a_page_alone_drapes_what_nobody_keeps(urban_run, tmp_path, told):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["d.qml", "d.tif", "v.html"]
     assert not [path for path in urban_run.workspace.rglob("*draped*")]
     assert any(text.startswith("Page of ") for text in said.notes)
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "named"),
+    (
+        ("ortho", np.zeros((90, 130), np.uint8), "picture-blank"),
+        ("ortho", np.indices((90, 130)).sum(0).astype(np.uint8), ""),
+        ("difference", hilly(), "difference-heights"),
+        ("difference", np.random.default_rng(1).normal(0, 1, (90, 130)).astype(np.float32), ""),
+        ("confidence", np.where(np.indices((90, 130))[0] < 22, 0.5, np.nan).astype(np.float32), "raster-partial"),
+        ("confidence", np.full((90, 130), 0.5, np.float32), ""),
+    ),
+)
+def test_what_says_nothing_of_the_dsm_is_named(kind, values, named, tmp_path):
+    run = Recorder(Silent())
+    given = {kind: raster(tmp_path / "draped.tif", values, nodata=None if kind == "ortho" else np.nan)}
+    dsm, target = raster(tmp_path / "dsm.tif", hilly()), str(tmp_path / "page.html")
+    run_stage("viewer", {"dsm": dsm, "viewer": target, **given}, run)
+    assert [each.id for each in run.findings] == ([named] if named else [])
