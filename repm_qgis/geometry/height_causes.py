@@ -34,7 +34,7 @@ def likely_cause(offset_m: float, height_m: float, lon: float, lat: float, withi
             break
     expected, cause = min(causes, key=lambda each: abs(offset_m - each[0]))
     left = abs(offset_m - expected)
-    return f"{expected:+.1f} m {cause}" if left <= min(within_m, abs(offset_m) / _LESS) else ""
+    return f"{expected:+.1f} metres {cause}" if left <= min(within_m, abs(offset_m) / _LESS) else ""
 
 
 def geoid_height(name: str, lon: float, lat: float) -> float:

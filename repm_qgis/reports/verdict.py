@@ -262,7 +262,7 @@ def of_mosaic(differences: Sequence[Difference], bounds: VerdictParameters = VER
                 "overlaps-other-surface",
                 f"Overlaps whose DSMs do not show the same surface: {len(apart)} of {len(differences)}; those of "
                 f"DSMs {worst.first} and {worst.second} differ by {worst.nmad:.1f} m (NMAD; usual: at most "
-                f"{bounds.most_spread_m:g} m): check their places, units and RPCs.",
+                f"{bounds.most_spread_m:g} m): check their places and units.",
                 "doubt",
             )
         )
@@ -283,7 +283,7 @@ def of_comparison(metrics: HeightMetrics, cell_m: float = 0.0, bounds: VerdictPa
                 "other-surface",
                 f"The heights spread by {metrics.nmad:.1f} m about the reference's (NMAD; usual: at most "
                 f"{most_spread:g} m), so the two do not show the same surface: check the unit and scale of both, "
-                "their CRS and place, and the RPCs that the DSM was made with.",
+                "and their CRS and place.",
                 "doubt",
             )
         )
@@ -374,9 +374,11 @@ def of_changed(share: float, bounds: VerdictParameters = VERDICT) -> List[Findin
     """The finding of the share of the ground that changed between dates."""
     if share <= bounds.most_changed_share:
         return []
-    text = f"{100 * share:.0f} % of the ground changed (usual: at most {100 * bounds.most_changed_share:.0f} %)"
-    remedy = "the alignment assumes that most of the ground is stable, so align both DSMs before, and set ALIGN to none"
-    return [Finding("changed-much", f"{text}: {remedy}.")]
+    text = (
+        f"{100 * share:.0f} % of the ground changed (usual: at most {100 * bounds.most_changed_share:.0f} %): the "
+        "alignment assumes that most of the ground is stable, so align both DSMs before, and set ALIGN to none."
+    )
+    return [Finding("changed-much", text)]
 
 
 def of_buildings(

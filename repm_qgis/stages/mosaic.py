@@ -301,7 +301,7 @@ def _require_like_heights(layout: Layout, overlaps: Sequence[Overlap], parameter
 def _name_large(layout: Layout, offsets: Offsets, parameters: OffsetParameters, progress: Progress) -> None:
     """Warn of DSMs that are moved by more than usual."""
     moved = [
-        f"'{dsm.name}' by {added:+.1f} m"
+        f"'{dsm.name}' ({added:+.1f} m)"
         for dsm, added in zip(layout.dsms, offsets.added)
         if abs(added) > parameters.most_m
     ]

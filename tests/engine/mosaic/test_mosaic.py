@@ -500,7 +500,7 @@ def test_large_offsets_are_named(tmp_path, told, up, warned):
     said = told()
     run_stage("mosaic", {"dsms": [good, high], "output": str(tmp_path / "mosaic.tif")}, said)
     named = [text for text in said.warnings if "DSMs are moved by more than 10 m" in text]
-    assert bool(named) == warned and (not warned or "good.tif' by +24.0 m" in named[0])
+    assert bool(named) == warned and (not warned or "good.tif' (+24.0 m)" in named[0])
 
 
 @pytest.mark.parametrize(

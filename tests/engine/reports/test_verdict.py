@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from repm_qgis.contracts.records import FusionFacts, StageRecord
 from repm_qgis.evaluation.gcp_accuracy import GcpAccuracy
 from repm_qgis.evaluation.metrics import height_metrics
 from repm_qgis.fusion.rasters import overlap_m2
+from repm_qgis.geometry.height_causes import likely_cause
 from repm_qgis.imagery.raster import opened, read
 from repm_qgis.pointing.ground_control import Gcp
 from repm_qgis.reports import verdict
@@ -24,9 +27,11 @@ from repm_qgis.reports.parameters import VERDICT
 from repm_qgis.reports.report import Report
 from repm_qgis.reports.stage_reports import errormap_report, fit_report, pipeline_report, refine_report
 from repm_qgis.runtime.progress import Recorder, Silent
-from repm_qgis.runtime.translation import written_in
+from repm_qgis.runtime.translation import Translator, written_in
 from repm_qgis.scene import Scene
 from tests.engine.pages import plain
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture(scope="module")
@@ -216,3 +221,24 @@ def test_what_contradicts_a_result_stands_before_what_was_taken_for_granted():
     page = plain(Report("A check", "of a DSM").verdict("Good.", run[:1]).html(run))
     assert page.index("Another town.") < page.index("Few heights.") < page.index("No datum is stated.")
     assert page.count("No datum is stated.") == 1
+
+
+def test_findings_have_no_english_part_in_german():
+    cause = likely_cause(0.3048 * 100 - 100, 100.0, 8.0, 50.0, 1.0)
+    german = Translator.of("de").translate
+    for text in (
+        str(*verdict.of_changed(0.4)),
+        "The DSM's heights differ from the points' by -69.5 m as a whole, which is usually a geoid or a unit. The "
+        f"points' heights would change by {cause}: check their unit, GCP_DATUM and the DSM's datum.",
+        "DSMs are moved by more than 5 m: 'a.tif' (+7.1 m), 'b.tif' (-3.2 m); check their vertical datums and units, "
+        "and name those that are right in FIXED.",
+    ):
+        assert not re.search(r"\b(the|of|if|by|are|in feet)\b", german(text)), german(text)
+
+
+def test_quotation_marks_and_terms_are_german():
+    """Commands and code keep theirs."""
+    texts = json.loads((ROOT / "i18n" / "engine_de.json").read_text(encoding="utf-8")).values()
+    code = ("sudo", "apt-get", "__name__", "QGIS' ")
+    assert not [text for text in texts if re.search(r"'[^']+'", text) and not any(each in text for each in code)]
+    assert not [text for text in texts if re.search("Höhendat(um|en)|Koordinatenbezugssystem|das Bezugssystem", text)]
