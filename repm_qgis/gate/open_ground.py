@@ -99,11 +99,12 @@ def opened_surface(
 
 
 def _lowest(height: FloatArray, share: float) -> float:
-    """The middle of the lowest metre with so many heights as a ``share`` of those in the densest one: wide roofs are
+    """The median of the lowest metre with so many heights as a ``share`` of those in the densest one: wide roofs are
     level, too."""
     bins = np.arange(np.floor(height.min()), np.ceil(height.max()) + 1.5, 0.5)
     count = np.histogram(height, bins)[0]
     pairs = count[:-1] + count[1:]
     first = int(np.argmax(pairs >= share * pairs.max()))
     peak = first + int(np.argmax(pairs[first : first + 3]))
-    return float(bins[peak] + 0.5)
+    # Their median: heights without noise would all lie far from the middle of the bins, by the spread of zero.
+    return float(np.median(height[(height >= bins[peak]) & (height <= bins[peak] + 1.0)]))

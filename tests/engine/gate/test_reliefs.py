@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from repm_qgis.contracts.errors import EmptyResultError, ImageError
+from repm_qgis.gate.companions import terrain_findings
 from repm_qgis.imagery.raster import write
 from repm_qgis.runtime.progress import Recorder, Silent
 from repm_qgis.stages import run_stage
@@ -140,6 +141,19 @@ def test_a_new_hall_and_a_heap_are_no_bare_earth(tmp_path):
     built[40:60, 40:60] += 8.0
     built[140:160, 40:60] += 5.0
     assert not compared(tmp_path, "change", built, reference=ground)
+
+
+@pytest.mark.parametrize("noise", (0.0, 0.1))
+@pytest.mark.parametrize("below", (0.0, 3.0, 5.0, 10.0))
+def test_a_terrain_a_constant_below_its_dsm_is_named(below, noise, tmp_path):
+    """Also where the DSM has no noise, as those that are made of formulas."""
+    ground = 2.0 + np.sin(COLUMNS / 27) * np.cos(ROWS / 25) + 0.3 * np.sin(ROWS / 13 + 7)
+    surface = town() + np.random.default_rng(1).normal(0, noise, (SIDE, SIDE))
+    paths = [
+        write(str(tmp_path / f"{name}.tif"), [each.astype(np.float32)], (5e5, 1, 0, 5e6, 0, -1), "EPSG:32633")
+        for name, each in (("dsm", surface), ("dtm", ground - below))
+    ]
+    assert [each.id for each in terrain_findings(*paths)] == (["terrain-off"] if below else [])
 
 
 def scattered(share, by):
