@@ -89,13 +89,14 @@ def trials() -> List[str]:
     if bad:
         raise Failed(f"{bad} of {total[0]} trials ended silently wrong, with a crash or with a false alarm")
     kinds = sorted({what for what, _ in faults})
+    say(table(["fault", *OUTCOMES], [[what, *(faults[what, kind] for kind in OUTCOMES)] for what in kinds]))
     return [
         "Surfaces that are known by formula, at random places in Europe: hills, houses, heaps and pits, and a "
         "simulated scene. CRS, cells, datum, unit, holes and type of numbers are drawn; some trials are sound, the "
         f"others have one fault. Seed {_SEED}.",
+        "By fault: what the command prints beside this. The first run, of 770 trials on 953fd9f4, had 160 silently "
+        "wrong, and the first of these kinds (9b8849ab) 1 of 2160.",
         table(["algorithm", "trials", "sound", *OUTCOMES], rows),
-        "By fault:",
-        table(["fault", *OUTCOMES], [[what, *(faults[what, kind] for kind in OUTCOMES)] for what in kinds]),
     ]
 
 
