@@ -588,8 +588,8 @@
         <translation>Das RPC jedes Bildes mit seiner Korrektur der Ausrichtung, wie GDAL, OTB, CARS, S2P und ASP es lesen.</translation>
     </message>
     <message>
-        <source>Reconstructed scene</source>
-        <translation>Rekonstruierte Szene</translation>
+        <source>Scene</source>
+        <translation>Szene</translation>
     </message>
 </context>
 <context>
@@ -1216,6 +1216,10 @@
     <message>
         <source>Two or more images of the same ground in sensor geometry (level Basic, Sensor or Primary), or ortho-ready, each with its RPC in the file or beside it. A tile stands for its whole image, and the path of a folder, a ZIP or TAR file or a STAC item, as it was delivered, for the images in it.</source>
         <translation>Zwei oder mehr Bilder desselben Bodens in Sensorgeometrie (Stufe Basic, Sensor oder Primary) oder „ortho-ready“, jedes mit seinem RPC in der Datei oder daneben. Eine Kachel steht für ihr ganzes Bild, und der Pfad eines Ordners, einer ZIP- oder TAR-Datei oder eines STAC-Eintrags, wie geliefert, für die Bilder darin.</translation>
+    </message>
+    <message>
+        <source>One image alone has a camera, but no heights.</source>
+        <translation>Ein Bild allein hat eine Kamera, aber keine Höhen.</translation>
     </message>
     <message>
         <source>RPC files</source>

@@ -28,7 +28,7 @@ class EpmFit(RepmAlgorithm):
 
     def parameters(self) -> list:
         return [
-            parameters.images(),
+            parameters.images(least=1),
             parameters.extent(),
             parameters.dem(),
             parameters.rpcs(),

@@ -23,6 +23,8 @@ class ExportRpc(RepmAlgorithm):
 
     def parameters(self) -> list:
         return [
-            parameters.scene(self.tr("Reconstructed scene")),
+            parameters.scene(self.tr("Scene")),
+            parameters.gcps(),
+            parameters.gcp_datum(),
             *(parameters.product(self.ID, name) for name in ("rpc_folder", "report")),
         ]

@@ -197,14 +197,12 @@ class Points(QgsProcessingParameterVectorLayer):
 def images(least: int = 2) -> QgsProcessingParameterDefinition:
     parameter = Images("IMAGES", tr("Satellite images with RPCs"), QgsProcessing.SourceType.TypeRaster)
     parameter.setMinimumNumberInputs(least)
-    return helped(
-        parameter,
-        tr(
-            "Two or more images of the same ground in sensor geometry (level Basic, Sensor or Primary), or "
-            "ortho-ready, each with its RPC in the file or beside it. A tile stands for its whole image, and the path "
-            "of a folder, a ZIP or TAR file or a STAC item, as it was delivered, for the images in it."
-        ),
+    text = tr(
+        "Two or more images of the same ground in sensor geometry (level Basic, Sensor or Primary), or "
+        "ortho-ready, each with its RPC in the file or beside it. A tile stands for its whole image, and the path "
+        "of a folder, a ZIP or TAR file or a STAC item, as it was delivered, for the images in it."
     )
+    return helped(parameter, text if least > 1 else f"{text} {tr('One image alone has a camera, but no heights.')}")
 
 
 def rpcs() -> QgsProcessingParameterDefinition:

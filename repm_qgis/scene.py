@@ -312,8 +312,8 @@ class Scene(Record):
 
     def contradiction(self) -> str:
         views = {view.name: view for view in self.views}
-        if len(self.views) < 2 or len(views) < len(self.views):
-            return "has views without distinct names, or fewer than two"
+        if not self.views or len(views) < len(self.views):
+            return "has no views, or views without distinct names"
         for tile in self.tiles:
             wrong = tile.misplaced(views)
             if wrong:
@@ -365,6 +365,14 @@ class Scene(Record):
         """When the first and the last image were taken (ISO 8601, UTC), of those whose time is known; None of none."""
         times = sorted(view.acquired for view in self.views if view.time is not None)
         return (times[0], times[-1]) if times else None
+
+    def require_two_images(self) -> None:
+        """Raise SceneError for a scene of one image, which has a camera and errors, but no heights."""
+        if len(self.views) < 2:
+            raise SceneError(
+                f"The scene '{self.path}' has one image, '{self.views[0].image}', and heights need two: run "
+                f"{_FIRST_STAGE} again with another image of this ground."
+            )
 
     def require_images(self) -> None:
         """Raise SceneError with the images and masks that are not at their stored place and did not move with the

@@ -233,11 +233,11 @@ class EpmFitOptions(Options):
     that are neither zero nor nodata are not to be used (clouds, water), "" where there is none; empty: none at all.
     ``ortho_ready_height`` is the height, m above the ellipsoid, to which ortho-ready images were projected whose
     metadata do not state it; None: it is found with a DEM, or assumed. ``extent`` is xmin, ymin, xmax, ymax, None takes
-    all that two images see; ``extent_crs`` is its CRS, any PROJ text. ``altitude_min`` and ``altitude_max`` in metres
-    above the ellipsoid; None takes the DEM's range, or the RPCs'. ``tile_size`` in px of the finest image, 0 = the
-    largest that keeps the equivalent error under ``error_budget`` px; ``error_budget`` is the largest equivalent error
-    of such a tile. ``tiles`` and ``report`` name the vector file and the HTML page to write; None puts them into the
-    workspace.
+    all that two images see, or the only one; ``extent_crs`` is its CRS, any PROJ text. ``altitude_min`` and
+    ``altitude_max`` in metres above the ellipsoid; None takes the DEM's range, or the RPCs'. ``tile_size`` in px of the
+    finest image, 0 = the largest that keeps the equivalent error under ``error_budget`` px; ``error_budget`` is the
+    largest equivalent error of such a tile. ``tiles`` and ``report`` name the vector file and the HTML page to write;
+    None puts them into the workspace.
     """
 
     images: Tuple[str, ...] = field(metadata=_READ)
@@ -258,8 +258,8 @@ class EpmFitOptions(Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(self.images) < 2 and all(self.images) and not any(map(is_delivery, self.images)):
-            raise OptionError("IMAGES", list(self.images), "must name at least two images: one image has no heights")
+        if not self.images:
+            raise OptionError("IMAGES", list(self.images), "must name an image, or at least two images for heights")
         _check_images(self.images, RPCS=self.rpcs, MASKS=self.masks)
         if self.altitude_min is not None and self.altitude_max is not None and self.altitude_min >= self.altitude_max:
             limit = f"must be below ALTITUDE_MAX ({self.altitude_max:g} m)"
@@ -328,11 +328,14 @@ class ExportCamerasOptions(Options):
 class ExportRpcOptions(Options):
     """Write the images' RPCs, with the scene's pointing in them, for other software.
 
-    ``rpc_folder`` gets three files for each image, and replaces an earlier export as a whole.
+    ``rpc_folder`` gets three files for each image, and replaces an earlier export as a whole. ``gcps`` and
+    ``gcp_datum`` as in :class:`ReconstructOptions`: points that shift the images of a scene without pointing.
     """
 
     scene: str = read()
     rpc_folder: str = given()
+    gcps: Optional[str] = read(None)
+    gcp_datum: str = ""
     report: Optional[str] = None
 
 
@@ -503,6 +506,12 @@ class PipelineOptions(Options):
     preset: str = choice("none", tuple(PRESETS))
     report: Optional[str] = None
     command: Optional[str] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        images = self.fit.images
+        if len(images) < 2 and not any(map(is_delivery, images)):
+            raise OptionError("IMAGES", list(images), "must name at least two images: one image has no heights")
 
     OWN: ClassVar[Tuple[str, ...]] = ("preset", "report", "command")
     STAGES: ClassVar[Tuple[Type[Options], ...]] = (

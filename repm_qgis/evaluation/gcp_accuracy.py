@@ -117,9 +117,10 @@ def measure_images(found: GcpAccuracy, views: Sequence[View], parameters: GcpPar
             )
         )
     if good:
-        shifted = [_shifted(plain, _shifts(good, gcp.id)) for gcp in found.gcps]
-        found.residuals["compensated"] = [residuals(gcp, views) for gcp, views in zip(found.gcps, shifted)]
-        found.errors["compensated"] = _located(found.gcps, shifted)
+        without = [_shifts(good, gcp.id) for gcp in found.gcps]
+        moved = [[view for view in shifted(plain, shifts) if view.name in shifts] for shifts in without]
+        found.residuals["compensated"] = [residuals(gcp, views) for gcp, views in zip(found.gcps, moved)]
+        found.errors["compensated"] = _located(found.gcps, moved)
     if any(np.abs(view.pointing - np.eye(2, 3)).max() > 1e-9 or view.jitter is not None for view in views):
         found.residuals["scene"] = [residuals(gcp, views) for gcp in found.gcps]
         found.errors["scene"] = _located(found.gcps, [views] * len(found.gcps))
@@ -150,10 +151,14 @@ def _shifts(residuals: Dict[str, Dict[str, FloatArray]], without: str = "") -> D
     return {view: np.mean(pixels, axis=0) for view, pixels in values.items()}
 
 
-def _shifted(views: Sequence[View], shifts: Dict[str, FloatArray]) -> List[View]:
-    """The views that have a shift, with it."""
-    known = [view for view in views if view.name in shifts]
-    return [view.with_pointing(np.column_stack([np.eye(2), shifts[view.name]])) for view in known]
+def shifted(views: Sequence[View], shifts: Dict[str, FloatArray]) -> List[View]:
+    """The views with the shift of each, (2,) px, in the place of its pointing; those without one as they are."""
+
+    def moved(view: View) -> View:
+        shift = shifts.get(view.name)
+        return view if shift is None else view.with_pointing(np.column_stack([np.eye(2), shift]))
+
+    return list(map(moved, views))
 
 
 def _located(gcps: Sequence[Gcp], views: Sequence[Sequence[View]]) -> FloatArray:

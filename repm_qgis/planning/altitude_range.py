@@ -460,14 +460,19 @@ def altitude_range(
         if swept is None:
             for view in views:  # an image that shows nothing is an error of its own
                 view.stretch()
-            progress.warn(
-                Finding(
-                    "altitudes-of-rpcs",
-                    "The altitude range could not be found from the images: that of the RPCs is used, "
-                    f"{search[0]:.0f} to {search[1]:.0f} m. With a DEM, or ALTITUDE_MIN and ALTITUDE_MAX, the run is "
-                    "faster and more reliable.",
-                )
+            low, high = search
+            text = (
+                "The altitude range could not be found from the images: that of the RPCs is used, "
+                f"{low:.0f} to {high:.0f} m. With a DEM, or ALTITUDE_MIN and ALTITUDE_MAX, the run is faster and more "
+                "reliable."
             )
+            if len(views) == 1:
+                text = (
+                    f"One image does not show how high its ground is: the altitudes of its RPC are used, {low:.0f} to "
+                    f"{high:.0f} m. With a DEM, or ALTITUDE_MIN and ALTITUDE_MAX, the errors are those at the ground's "
+                    "altitudes."
+                )
+            progress.warn(Finding("altitudes-of-rpcs", text))
             found, source = search, "RPC"
         else:
             found, source = swept.altitudes, "images"

@@ -59,7 +59,7 @@ def views_of(options: EpmFitOptions, least_px: float, warn: Warn = lambda text: 
     """The views of a run: those of its images that show one place (:func:`of_one_place`), which EXTENT may choose.
 
     Raises whatever :func:`~repm_qgis.scene.load_views` raises, RpcInvalidError where two images have the same RPC, and
-    OverlapError where no two images overlap.
+    OverlapError where no two of several images overlap.
     """
     options = with_images(options, Silent())
     views = load_views(options.images, options.rpcs, options.masks, options.extent is None, options.ortho_ready_height)
@@ -69,9 +69,11 @@ def views_of(options: EpmFitOptions, least_px: float, warn: Warn = lambda text: 
 def common_ground(
     views: Sequence[View], crs: str, altitudes: Altitudes, parameters: PlanningParameters = PLANNING
 ) -> ogr.Geometry:
-    """The ground in ``crs`` that two views see at some altitude of a range, m above the ellipsoid; empty for none."""
+    """The ground in ``crs`` that two views, or the only one, see at some altitude of a range, m above the ellipsoid;
+    empty for none."""
     levels = np.linspace(*altitudes, parameters.area_altitudes)
-    return seen_twice([[projected_from_geodetic(crs, footprint(v.localise, v.size, z)) for v in views] for z in levels])
+    seen = [[projected_from_geodetic(crs, footprint(v.localise, v.size, z)) for v in views] for z in levels]
+    return seen_twice([outlines * 2 for outlines in seen] if len(views) == 1 else seen)
 
 
 class Doublet(NamedTuple):
@@ -171,8 +173,10 @@ def of_one_place(
     """The views of the place that most of them show; ``warn`` is given a sentence about the others.
 
     ``wanted`` (N, 2), longitudes and latitudes, is an area that may choose the place. Raises OverlapError, with where
-    the images look, where no two overlap.
+    the images look, where no two of several overlap.
     """
+    if len(views) == 1:
+        return tuple(views)
     groups = places(views, least_px)
     if wanted is not None:
         groups.sort(key=lambda group: len(group) < 2 or not any(_shows(view, wanted) for view in group))

@@ -21,7 +21,7 @@ from ..evaluation.parameters import GCPS
 from ..numerics.robust import nmad
 from ..registration.solve import half_spread
 from ..rpc.correction import DELIVERED, JITTERED, CorrectedRpc
-from ..runtime.progress import counted
+from ..runtime.progress import counted, listed
 from ..scene import Scene
 from .parameters import VERDICT, VerdictParameters
 
@@ -165,20 +165,10 @@ def of_error_map(rmse: float, refined: bool, bounds: VerdictParameters = VERDICT
 
 def of_points(found: GcpAccuracy, bounds: VerdictParameters = VERDICT) -> List[Finding]:
     """The findings of a check against ground control points."""
-    said = []
-    count = int(found.rows().sum())
-    if count < bounds.least_points:
-        said.append(
-            Finding(
-                "points-few",
-                f"Points that can be used: {count} (with fewer than {bounds.least_points}, a wrong one is not found).",
-            )
-        )
+    said = _few_points(int(found.rows().sum()), bounds)
     column = next((name for name in ("scene", "compensated") if name in found.residuals), "")
     if column:
-        usable = [each for each, yes in zip(found.residuals[column], found.rows()) if yes]
-        size = [float(np.hypot(*pixel)) for residual in usable for pixel in residual.values()]
-        middle = float(np.median(size)) if size else 0.0
+        middle = _median_residual_px(found, column)
         if middle > GCPS.wrong_px:
             said.append(
                 Finding(
@@ -201,6 +191,40 @@ def of_points(found: GcpAccuracy, bounds: VerdictParameters = VERDICT) -> List[F
                 "than their spread: check GCP_DATUM, the DSM's vertical datum and its absolute position.",
             )
         )
+    return said
+
+
+def _few_points(count: int, bounds: VerdictParameters) -> List[Finding]:
+    if count >= bounds.least_points:
+        return []
+    text = f"Points that can be used: {count} (with fewer than {bounds.least_points}, a wrong one is not found)."
+    return [Finding("points-few", text)]
+
+
+def _median_residual_px(found: GcpAccuracy, column: str) -> float:
+    """Of the points that count, over all images, px; 0 without any."""
+    usable = [each for each, yes in zip(found.residuals[column], found.rows()) if yes]
+    size = [float(np.hypot(*pixel)) for residual in usable for pixel in residual.values()]
+    return float(np.median(size)) if size else 0.0
+
+
+def of_control(found: GcpAccuracy, views: Sequence[str], bounds: VerdictParameters = VERDICT) -> List[Finding]:
+    """The findings of RPCs that were shifted by control points: images with few, and points that no shift explains."""
+    counts = {
+        name: sum(name in gcp.pixels for gcp, yes in zip(found.gcps, found.rows("control")) if yes) for name in views
+    }
+    said = _few_points(min(filter(None, counts.values()), default=0), bounds)
+    bare = [name for name, count in counts.items() if not count]
+    if bare:
+        text = f"No control point was measured in {listed(bare)}: the RPC stays as delivered there."
+        said.append(Finding("rpc-without-control", text))
+    middle = _median_residual_px(found, "compensated")
+    if middle > GCPS.wrong_px:
+        text = (
+            f"The median residual of the points after the shift is {middle:.2f} px (usual: at most {GCPS.wrong_px:g} "
+            "px): check their places, heights and pixels with 'Check ground control points'."
+        )
+        said.append(Finding("point-residual", text))
     return said
 
 
@@ -463,8 +487,8 @@ def of_rpcs(exported: Mapping[str, CorrectedRpc], bounds: VerdictParameters = VE
         return [
             Finding(
                 "rpcs-as-delivered",
-                "The scene has no pointing correction, so these are the RPCs as delivered: run 'Reconstruct "
-                "heights' first, and export the scene that it writes.",
+                "The scene has no pointing correction, so these are the RPCs as delivered: give control points as "
+                "GCPS, or export the scene that 'Reconstruct heights' writes.",
             )
         ]
     shaken = {name: each for name, each in exported.items() if each.method == JITTERED}

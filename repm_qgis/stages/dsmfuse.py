@@ -182,6 +182,7 @@ def _draped(options: DsmFuseOptions, folder: Path) -> Iterator[DsmFuseOptions]:
 def reconstructed(path: str) -> Scene:
     """A scene with the tiles that have heights; raises SceneError where there are none."""
     scene = Scene.load(path)
+    scene.require_two_images()
     scene = replace(scene, tiles=tuple(tile for tile in scene.tiles if tile.heights))
     if not scene.tiles:
         raise SceneError(f"The scene '{path}' has no height maps: run 'Reconstruct heights' first.")

@@ -6,12 +6,14 @@ Reads RPCs and scene files, nothing else: it takes milliseconds for each image.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Optional
 
 from ..contracts.errors import OptionError
 from ..contracts.options import (
     CheckGcpsOptions,
     DsmFuseOptions,
+    ExportRpcOptions,
     Options,
     PipelineOptions,
     ReconstructOptions,
@@ -19,11 +21,14 @@ from ..contracts.options import (
     SampleDataOptions,
 )
 from ..geometry.vertical import HeightDatum, named_datum
+from ..imagery.deliveries import with_images
 from ..planning.overlap import views_of
 from ..runtime.memory import free_mib
+from ..runtime.progress import Silent
 from ..scene import GroundSeen, ground_of
 from .parameters import ENGINE, EngineParameters, TileParameters
 
+_OF_A_SCENE = DsmFuseOptions, ReconstructOptions, RegisterOptions, CheckGcpsOptions, ExportRpcOptions
 _SAMPLE_BYTES = {"urban": 450.0, "mountains": 180.0}  # memory for each px of a sample image; measured at 1000 px
 
 
@@ -48,7 +53,7 @@ def require_sensible(options: Options, parameters: EngineParameters = ENGINE) ->
                 wide = f"{reason}: neighbours farther away are no evidence, and counting them takes hours"
                 raise OptionError("OUTLIER_RADIUS", part.outlier_radius, wide)
             HeightDatum.of(part.vertical_datum).require(seen.lon, seen.lat)
-        if isinstance(part, (ReconstructOptions, CheckGcpsOptions)) and part.gcps:
+        if isinstance(part, (ReconstructOptions, CheckGcpsOptions, ExportRpcOptions)) and part.gcps:
             HeightDatum.of(part.gcp_datum, "GCP_DATUM").require(seen.lon, seen.lat, "GCP_DATUM")
         if isinstance(part, RegisterOptions):
             stated = named_datum(part.reference_datum, "REFERENCE_DATUM")
@@ -69,8 +74,9 @@ def _ground_shown(options: Options, parameters: TileParameters) -> Optional[Grou
     """The ground that the images show; None where a stage has no images, or a scene that the stage itself will
     refuse."""
     if isinstance(options, PipelineOptions):
+        options = replace(options, fit=with_images(options.fit, Silent()))  # which refuses one image
         return GroundSeen.of(views_of(options.fit, parameters.least_overlap_px))
-    if isinstance(options, (DsmFuseOptions, ReconstructOptions, RegisterOptions, CheckGcpsOptions)) and options.scene:
+    if isinstance(options, _OF_A_SCENE) and options.scene:
         return ground_of(options.scene)
     return None
 

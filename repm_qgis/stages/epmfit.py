@@ -216,25 +216,28 @@ def _crs(options: EpmFitOptions, views: Sequence[View]) -> str:
 def _area(
     views: Sequence[View], crs: str, altitudes: Altitudes, options: EpmFitOptions, parameters: TileParameters
 ) -> ogr.Geometry:
-    """The ground that two views see at some altitude of the range, within the requested extent."""
+    """The ground that two views, or the only one, see at some altitude of the range, within the requested extent."""
     area = common_ground(views, crs, altitudes)
     least = (parameters.least_overlap_px * min(v.gsd_m for v in views)) ** 2
     if area.IsEmpty() or area.GetArea() < least:
         range_ = f"{altitudes[0]:.0f} to {altitudes[1]:.0f} m above the ellipsoid"
         remedy = "give the heights of this ground as ALTITUDE_MIN and ALTITUDE_MAX, or a DEM of it"
+        if len(views) == 1:
+            raise OverlapError(f"{views[0].name} sees no ground at altitudes of {range_}: {remedy}.")
         raise OverlapError(f"The images share no ground at altitudes of {range_}: {remedy}.")
+    see = "what two images see" if len(views) > 1 else "what the image sees"
     if options.extent is None:
         return area
     common = area.Intersection(_extent(options, options.extent, crs, area))
     if common is None or common.IsEmpty() or common.GetArea() < least:
         if common is not None and not common.IsEmpty():
-            shares = f"shares only {common.GetArea():.3g} m² with what two images see"
+            shares = f"shares only {common.GetArea():.3g} m² with {see}"
             raise OptionError(
                 "EXTENT", list(options.extent), f"{shares}: draw at least {math.sqrt(least):.0f} m a side"
             )
         back = pyproj.Transformer.from_crs(crs, options.extent_crs, always_xy=True)
         wanted, seen = (_range_text(ends) for ends in (options.extent, back.transform_bounds(*bounds_of(area))))
-        place = f"EXTENT {wanted} ({options.extent_crs}) lies outside what two images see: {seen}"
+        place = f"EXTENT {wanted} ({options.extent_crs}) lies outside {see}: {seen}"
         raise OverlapError(f"{place}. Draw it there, or leave it empty.")
     return common
 
@@ -329,17 +332,16 @@ def _require_count(scene: Scene, area: ogr.Geometry, size: int, parameters: Tile
 
 
 def _tiles(scene: Scene, grounds: Sequence[GroundTile], progress: Progress) -> Tuple[Tile, ...]:
-    tiles = []
+    tiles, least = [], min(len(scene.views), 2)
     for index, ground in enumerate(grounds):
         progress.check_cancelled()
         progress.step(0.6 + 0.4 * index / len(grounds), f"cameras of tile {index + 1} of {len(grounds)}")
         tile, _ = fit_tile(scene, ground)
-        if len(tile.views) >= 2:
+        if len(tile.views) >= least:
             tiles.append(tile)
     if not tiles:
-        raise OverlapError(
-            f"No tile is seen by two images (tiles: {len(grounds)}): choose a larger EXTENT or TILE_SIZE."
-        )
+        who = "two images" if least > 1 else "the image"
+        raise OverlapError(f"No tile is seen by {who} (tiles: {len(grounds)}): choose a larger EXTENT or TILE_SIZE.")
     return tuple(tiles)
 
 

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Dict, List
 
 import numpy as np
 
 from .. import __version__
-from ..contracts.errors import RpcInvalidError
+from ..contracts.errors import InputTableError, OptionError, RpcInvalidError
+from ..contracts.findings import Finding
 from ..contracts.options import ExportRpcOptions
 from ..contracts.results import ExportRpcResult
+from ..evaluation.gcp_accuracy import GcpAccuracy, measure_images, shifted
 from ..geometry.frames import EnuFrame
 from ..imagery.raster import opened
 from ..imagery.vrt import image_vrt_text
 from ..names import scene_title
-from ..reports.rpc_page import ExportedRpc, rpc_page, within_px
-from ..reports.verdict import of_rpcs
+from ..pointing.control_places import require_places
+from ..pointing.ground_control import read_gcps
+from ..reports.rpc_page import ExportedRpc, control_sentence, rpc_page, within_px
+from ..reports.verdict import of_control, of_rpcs
 from ..rpc.correction import corrected, of_projected
 from ..rpc.writers import rpb_text, rpc_tags, rpc_txt
 from ..runtime.progress import Progress, Recorder, counted, warn_all
@@ -30,14 +35,18 @@ _LIST = "rpcs.json"
 def run(options: ExportRpcOptions, progress: Progress) -> ExportRpcResult:
     """Export the RPCs; gives the folder, the VRTs as ``images``, and the largest distance from the pointed model, px.
 
-    Raises SceneError, ImageError, RpcInvalidError, WorkspaceError.
+    Raises SceneError, ImageError, RpcInvalidError, WorkspaceError; InputTableError and OptionError for control points.
     """
     scene = Scene.load(options.scene)
     scene.require_images()
     _require_place(Path(options.rpc_folder))
+    control = _control(scene, options) if options.gcps else None
+    if control is not None:
+        scene = replace(scene, views=tuple(shifted(scene.views, control.shifts)))
     exported = [_exported(scene, view) for view in scene.views]
     run = Recorder(progress)
-    warn_all(run, of_rpcs({each.view.name: each.corrected for each in exported}))
+    findings = [*control.warnings, *of_control(control, [view.name for view in scene.views])] if control else []
+    warn_all(run, [*findings, *of_rpcs({each.view.name: each.corrected for each in exported})])
     with whole_folder(options.rpc_folder) as folder:
         for index, each in enumerate(exported):
             progress.check_cancelled()
@@ -46,13 +55,32 @@ def run(options: ExportRpcOptions, progress: Progress) -> ExportRpcResult:
         document = {"format": "repm-rpcs", "engine": __version__, "images": [_record(each) for each in exported]}
         write_text(str(folder / _LIST), json.dumps(document, indent=1, allow_nan=False))
     if options.report:
-        rpc_page(exported, options.scene).of(scene_title(scene, options.scene)).write(options.report, run)
+        rpc_page(exported, options.scene, control).of(scene_title(scene, options.scene)).write(options.report, run)
     worst = max(each.corrected.max_px for each in exported)
     images = tuple(str(Path(options.rpc_folder) / each.files[0]) for each in exported)
     off = f"at most {within_px(exported):.4f} px from the pointed model"
+    if control is not None:
+        for name in control.shifts:
+            progress.info(control_sentence(control, name))
     progress.info(f"{counted(len(images), 'image')}: RPCs in '{options.rpc_folder}', {off}.")
     progress.step(1.0, "RPCs exported")
     return ExportRpcResult(rpc_folder=options.rpc_folder, report=options.report, images=images, max_error=worst)
+
+
+def _control(scene: Scene, options: ExportRpcOptions) -> GcpAccuracy:
+    """The control points in the images of a scene without pointing, and the shift that they give to each image."""
+    path = options.gcps or ""
+    if any(np.abs(view.pointing - np.eye(2, 3)).max() > 0 or view.jitter is not None for view in scene.views):
+        reason = "must be empty for a scene that has a pointing: give the points to 'Reconstruct heights'"
+        raise OptionError("GCPS", path, reason)
+    elsewhere: List[Finding] = []
+    found = GcpAccuracy(read_gcps(path, scene.views, options.gcp_datum, elsewhere.append), warnings=elsewhere)
+    require_places(found.gcps, scene.views, path)
+    measure_images(found, scene.views)
+    if not found.shifts:
+        remedy = "fill the fields view, col and row of points with the role control"
+        raise InputTableError(f"No control point of '{path}' was measured in an image: {remedy}.")
+    return found
 
 
 def _exported(scene: Scene, view: View) -> ExportedRpc:

@@ -14,6 +14,7 @@ from ..contracts.products import FOLDER, paths_of
 from ..contracts.records import ViewPair
 from ..contracts.results import FusedSurface, PipelineResult, Result
 from ..geometry.footprints import bounds_of
+from ..imagery.deliveries import with_images
 from ..matching.backends import matched_pairs, require, resolve
 from ..names import scene_title
 from ..planning.disk_space import Need, fusion_needs, heights_need, require_space
@@ -47,6 +48,7 @@ def _run(options: PipelineOptions, progress: Recorder, parameters: EngineParamet
     if options.preset != "none":
         values = ", ".join(f"{name.upper()} {value}" for name, value in PRESETS[options.preset].items())
         progress.info(f"Preset {options.preset}: {values}, where they are not given.")
+    options = replace(options, fit=with_images(options.fit, progress))  # which refuses one image, too
     _check_early(options, parameters)
     seconds: Dict[str, float] = {}
     begin = 0.0

@@ -114,7 +114,9 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
 
 
 def pairs_of(scene: Scene, options: ReconstructOptions, parameters: EngineParameters = ENGINE) -> List[ViewPair]:
-    """The pairs that are matched, best first; raises EmptyResultError where no pair is usable."""
+    """The pairs that are matched, best first; raises SceneError for one image alone, EmptyResultError where no pair is
+    usable."""
+    scene.require_two_images()
     numbers = parameters.of_quality(options.quality).pointing.planning.pairs
     return choose_pairs(scene, numbers.fewest() if options.pairs == "fewest" else numbers)
 

@@ -369,5 +369,5 @@ def test_a_scene_without_views_shows_no_ground(fitted, tmp_path):
     document["views"] = []
     (tmp_path / "scene.json").write_text(json.dumps(document))
     assert ground_of(str(tmp_path / "scene.json")) is None
-    with pytest.raises(SceneError, match="views without distinct names, or fewer than two"):
+    with pytest.raises(SceneError, match="has no views, or views without distinct names"):
         run_stage("dsmfuse", {"scene": str(tmp_path / "scene.json"), "output": str(tmp_path / "dsm.tif")}, Silent())

@@ -96,7 +96,7 @@ def test_an_image_without_rpc_is_one_sentence_and_code_1(headless, tmp_path, sta
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["repm:epmfit", "--", "IMAGES=a.tif", "WORKSPACE=w", "TILES=t.gpkg"], "at least two images"),
+        (["repm:pipeline", "--", "IMAGES=a.tif", "WORKSPACE=w", "OUTPUT=d.tif"], "at least two images"),
         (["repm:errormap", "--", "SCENE=gone/scene.json", "OUTPUT=o.tif"], "scene.json"),
         (["repm:dsmfuse", "--", "SCENE=gone/scene.json", "OUTPUT=o.tif"], "scene.json"),
         (["repm:comparedsm", "--", "DSM=gone.tif", "REFERENCE=gone too.tif"], "DSM 'gone.tif' is not there"),

@@ -255,11 +255,18 @@ def test_options_of_colmap_reach_the_engine(plugin, context, feedback):
 
 def test_one_image_has_no_heights(plugin, context, rasters):
     for images in (rasters[:1], rasters[0], [], None):
-        fine, text = check("epmfit", {"IMAGES": images, "WORKSPACE": "/w"}, context)
+        fine, text = check("pipeline", {"IMAGES": images, "WORKSPACE": "/w", "OUTPUT": "/w/dsm.tif"}, context)
         assert not fine
         assert "at least two images" in text
-    fine, text = check("epmfit", {"IMAGES": rasters, "WORKSPACE": "/w", "TILES": "/w/t.gpkg"}, context)
-    assert fine, text
+
+
+def test_one_image_has_a_camera(plugin, context, rasters):
+    for images in (rasters, rasters[:1], rasters[0]):
+        fine, text = check("epmfit", {"IMAGES": images, "WORKSPACE": "/w", "TILES": "/w/t.gpkg"}, context)
+        assert fine, text
+    for images in ([], None):
+        fine, text = check("epmfit", {"IMAGES": images, "WORKSPACE": "/w"}, context)
+        assert not fine and "IMAGES" in text
 
 
 def test_layers_that_are_no_files_are_refused_by_name(plugin, context, rasters):

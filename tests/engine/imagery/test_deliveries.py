@@ -328,9 +328,11 @@ def test_lists_beside_a_folder_cannot_be_in_its_order(urban, tmp_path, told):
 def test_one_image_in_a_folder_is_not_enough(urban, tmp_path, told):
     single(urban.views[0], tmp_path / "order" / "a.tif")
     with pytest.raises(OptionError, match="must name at least two images"):
-        run_stage("epmfit", {"images": [str(tmp_path / "order")], "workspace": str(tmp_path / "ws")}, told())
-    with pytest.raises(OptionError, match="at least two images"):
-        EpmFitOptions(images=(urban.images[0],), workspace="ws")
+        options = {"workspace": str(tmp_path / "ws"), "output": str(tmp_path / "dsm.tif")}
+        run_stage("pipeline", {"images": [str(tmp_path / "order")], **options}, told())
+    assert not (tmp_path / "ws").exists()
+    with pytest.raises(OptionError, match="must name an image"):
+        EpmFitOptions(images=(), workspace="ws")
     assert InspectOptions(images=(str(tmp_path),)).images == (str(tmp_path),)
 
 

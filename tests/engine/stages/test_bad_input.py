@@ -85,7 +85,7 @@ def test_a_projected_product(bench, tmp_path, write_image):
 
 def test_one_image_only(bench):
     text = bench.fails(OptionError, images=bench.urban.images[:1])
-    assert "IMAGES" in text and "img_01.tif" in text and "at least two images" in text
+    assert "IMAGES" in text and "img_01.tif" in text and "at least two images: one image has no heights" in text
     assert "must not name the same image twice" in bench.fails(OptionError, images=[bench.urban.images[0]] * 2)
     assert not os.path.exists(bench.workspace)
 

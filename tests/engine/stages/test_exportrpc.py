@@ -211,7 +211,7 @@ def test_without_pointing_the_rpcs_are_as_delivered_and_it_says_so(urban_run, tm
     said = told()
     fitted = urban_run.workspace / "scene.json"
     made = export(fitted, tmp_path / "out", told, said=said, report=str(tmp_path / "r.html"))
-    assert len(said.warnings) == 1 and "the RPCs as delivered: run 'Reconstruct heights' first" in said.warnings[0]
+    assert len(said.warnings) == 1 and "the RPCs as delivered: give control points" in said.warnings[0]
     assert made.max_error == 0.0
     for view, again in zip(Scene.load(str(fitted)).views, load_views(tuple(made.images))):
         assert again.rpc == view.rpc
