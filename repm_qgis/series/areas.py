@@ -88,7 +88,7 @@ def layers_apart(shapes: Sequence[ogr.Geometry]) -> List[int]:
 
 
 def _share_ground(one: ogr.Geometry, other: ogr.Geometry) -> bool:
-    """Whether two polygons overlap by more than rounding; they do where that cannot be told."""
+    """Whether two polygons overlap by more than rounding; they do where GEOS gives no answer."""
     common = one.Intersection(other)
     return common is None or common.GetArea() > _ROUNDING * min(one.GetArea(), other.GetArea())
 

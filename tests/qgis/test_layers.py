@@ -175,7 +175,10 @@ def test_all_products_come_grouped_and_in_order(load, rebuilt, tmp_path, feedbac
 
     # An earlier stage of the same scene joins its group, above.
     load("errormap", {"SCENE": rebuilt, "REPORT": ""}, {"OUTPUT": tmp_path / "e.tif"})
-    assert [name for name, _ in tree(root)[1]][:2] == ["Equivalent error old town", "Point cloud old town"]
+    assert [name for name, _ in tree(root)[1]][:2] == [
+        "Equivalent error old town (img_01, 219 m, after refinement)",
+        "Point cloud old town",
+    ]
 
 
 def test_each_run_has_its_group_and_stages_of_one_scene_share_theirs(plugin, feedback):

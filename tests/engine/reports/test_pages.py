@@ -221,7 +221,7 @@ def test_preview_of_a_file(make_raster, tmp_path, terrain):
         pictures.preview(tmp_path / "none.tif", 200)
 
 
-@pytest.mark.parametrize("kind", ["dsm", "error", "dsm_error", "ortho", "hillshade"])
+@pytest.mark.parametrize("kind", ["dsm", "slope", "dsm_error", "ortho", "hillshade"])
 def test_raster_styles_carry_the_rasters_range(make_raster, tmp_path, kind):
     import xml.dom.minidom as minidom
 
@@ -239,7 +239,7 @@ def test_raster_styles_carry_the_rasters_range(make_raster, tmp_path, kind):
         items = [float(i.getAttribute("value")) for i in document.getElementsByTagName("item")]
         assert items == sorted(items) and len(items) >= 9
         found = [items[0], items[-1]]
-    want = {"error": [0.0, 7.8], "dsm_error": [-7.8, 7.8]}.get(kind, [-1.8, 7.8])
+    want = {"slope": [0.0, 7.8], "dsm_error": [-7.8, 7.8]}.get(kind, [-1.8, 7.8])
     assert found == pytest.approx(want, abs=0.01)
 
 

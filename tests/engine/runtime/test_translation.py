@@ -94,7 +94,7 @@ def test_every_sentence_of_the_catalogue_is_known_again_with_what_is_filled_in(v
         ("+0.12, -0.30, +1.00", "+0.12, -0.30, +1.00"),
         (
             "'/a 2.5/b 1.5.tif' fits to 'c_0.5.tif' better 2.0 m beside its place",
-            "'/a 2.5/b 1.5.tif' passt 2,0 m neben seiner Lage besser zu 'c_0.5.tif'",
+            "„/a 2.5/b 1.5.tif“ passt 2,0 m neben seiner Lage besser zu „c_0.5.tif“",
         ),
         ("Choose SLOPE=2.5", "Choose SLOPE=2.5"),
     ),
