@@ -124,8 +124,9 @@ class Panel(ParametersPanel):
         self._lines = {name: line for name, line in lines.items() if line is not None}
         for line in self._lines.values():  # QGIS does not tell of what is typed into them
             line.textChanged.connect(lambda *_: self._show_places())
-        for name in PLACES:
-            self._follow(name, self._show_places)
+        for name in set(PLACES) & set(self.wrappers):
+            self.wrappers[name].widgetValueHasChanged.connect(lambda *_: self._show_places())
+        self._show_places()
 
     def createProcessingParameters(self, *how: object, **named: object) -> dict[str, object]:
         typed = {name for name, line in self._lines.items() if line.text().strip() and not _FOLDERS & set(line.text())}

@@ -44,7 +44,8 @@ def in_workspace(
     """The parameters, with temporary products in the workspace where the user has named one: ``dsm.tif``, or
     ``dsm_2.tif`` where the first is taken, so that nothing is replaced that an earlier run has made. ``inputs`` are the
     engine's options."""
-    places = _places(algorithm, parameters, inputs, context) if algorithm.name() in OF_SCENES else {}
+    place = _place(algorithm, parameters, inputs, context) if algorithm.name() in OF_SCENES else ("", "")
+    places = _places(algorithm, parameters, *place)
     _promised.update(places.values())
     try:
         yield {**parameters, **{name: moved_to(path, parameters[name]) for name, path in places.items()}}
@@ -61,9 +62,8 @@ def in_folder(
     """A dialog's parameters, with products in the workspace or beside the surface that they are made of: those without
     a name, which a command leaves temporary, and those whose name was ``typed`` without a folder, which QGIS puts into
     one for all projects. Reads the project: main thread only."""
-    inputs = _named(parameters, context)
-    places = _places(algorithm, parameters, inputs, context) if algorithm.name() not in OF_SCENES else {}
-    folder = _place(algorithm, parameters, inputs, context)[0]
+    folder, surface = _place(algorithm, parameters, _named(parameters, context), context)
+    places = _places(algorithm, parameters, folder, surface) if algorithm.name() not in OF_SCENES else {}
     for name, value in parameters.items() if folder else ():
         if name in typed and name not in PLACES and not is_temporary(value):
             sink = _sink(value)
@@ -85,13 +85,9 @@ def _named(parameters: Mapping[str, object], context: QgsProcessingContext) -> d
 
 
 def _places(
-    algorithm: QgsProcessingAlgorithm,
-    parameters: Mapping[str, object],
-    inputs: Mapping[str, object],
-    context: QgsProcessingContext,
+    algorithm: QgsProcessingAlgorithm, parameters: Mapping[str, object], folder: str, surface: str
 ) -> dict[str, str]:
-    """The places of products without a name, by parameter; none where they stay in QGIS's temporary folder."""
-    folder, surface = _place(algorithm, parameters, inputs, context)
+    """The places in a folder of products without a name, by parameter; none without a folder."""
     names = {
         each.option.upper(): _name(algorithm, each, surface)
         for each in products_of(algorithm.name())

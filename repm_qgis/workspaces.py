@@ -230,11 +230,12 @@ def _run_of_report(path: str, folder: str, facts: Optional[SceneFacts]) -> Optio
     if title is None or "<footer>REPM" not in tail:
         return None
     said = _VERDICT.search(head)
-    whole = os.path.basename(path) == "report.html" or _commanded(tail, "pipeline")
+    commanded = _commanded(tail, "pipeline")
+    whole = os.path.basename(path) == "report.html" or bool(commanded)
     options: Dict[str, Value] = {}
     if whole:
         recorded = _recorded(facts, folder) if facts is not None else {}
-        options = {**recorded, **_moved(_commanded(tail, "pipeline"), folder)}
+        options = {**recorded, **_moved(commanded, folder)}
     return RunFacts(
         title=html.unescape(title.group(1)).strip(),
         report=path,

@@ -17,9 +17,8 @@ from repm_qgis.evaluation.gcp_accuracy import ErrorSummary, wrong_control
 from repm_qgis.geometry.frames import EnuFrame, geodetic_from_projected
 from repm_qgis.scene import Scene
 from repm_qgis.stages import run_stage
+from tests.engine.gcp_tables import FIELDS, ground_points, write_gcps
 from tests.engine.pages import plain
-
-FIELDS = ("id", "lon", "lat", "height", "view", "col", "row", "role")
 
 
 @pytest.fixture(scope="module")
@@ -31,33 +30,12 @@ def scene(urban, tmp_path_factory, told):
 
 @pytest.fixture(scope="module")
 def points(urban):
-    """(12, 3) ground points on cells of the true surface: longitude, latitude, height."""
-    numbers = np.random.default_rng(8)
-    rows, cols = (numbers.integers(20, n - 20, 12) for n in urban.surface.shape)
-    x, cell, _, y, _, _ = urban.transform
-    xy = np.column_stack([x + (cols + 0.5) * cell, y - (rows + 0.5) * cell])
-    return np.column_stack([geodetic_from_projected(urban.crs, xy), urban.surface[rows, cols]])
-
-
-def written(path, urban, points, role=lambda k: "check" if k % 2 else "control", pixel=lambda k, name, p: p, views=3):
-    """A table of the points as the true sensors see them."""
-    with open(path, "w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow(FIELDS)
-        for k, point in enumerate(points):
-            for view in urban.true_views[:views] or [None]:
-                seen = (
-                    (view.name + ".tif", *map(repr, map(float, pixel(k, view.name, view.project(point)))))
-                    if view
-                    else ("", "", "")
-                )
-                table.writerow([f"P{k:02d}", *map(repr, map(float, point)), *seen, role(k)])
-    return str(path)
+    return ground_points(urban)
 
 
 @pytest.fixture(scope="module")
 def exact(urban, points, tmp_path_factory):
-    return written(tmp_path_factory.mktemp("points") / "gcps.csv", urban, points)
+    return write_gcps(tmp_path_factory.mktemp("points") / "gcps.csv", urban, points)
 
 
 def features(path):
@@ -123,7 +101,7 @@ def test_a_point_has_the_error_that_the_error_map_shows_there(urban, scene, exac
 
 def test_no_control_point_vouches_for_itself(urban, scene, points, tmp_path, told):
     """One control point off by 1 px in all rows of all views: its own error shows in full, others feel a fifth."""
-    path = written(tmp_path / "g.csv", urban, points, pixel=lambda k, name, p: p + (0.0, 1.0 if k == 0 else 0.0))
+    path = write_gcps(tmp_path / "g.csv", urban, points, pixel=lambda k, name, p: p + (0.0, 1.0 if k == 0 else 0.0))
     result = run_stage("checkgcps", {"gcps": path, "scene": scene, "output": str(tmp_path / "p.gpkg")}, told())
     assert result.wrong == ()
     found, _ = features(result.output)
@@ -145,7 +123,7 @@ def test_no_control_point_vouches_for_itself(urban, scene, points, tmp_path, tol
 def test_a_table_that_is_read_wrongly_is_refused_by_its_cause(urban, scene, points, tmp_path, told, pixel, feet, said):
     """No single point is blamed, and nobody is told to give the points to the reconstruction."""
     numbers = np.random.default_rng(6)
-    path = written(
+    path = write_gcps(
         tmp_path / "g.csv", urban, points, pixel=lambda k, name, p: pixel(k, name, p + numbers.normal(0, 0.2, 2))
     )
     with open(path, newline="", encoding="utf-8") as stream:
@@ -161,7 +139,7 @@ def test_a_table_that_is_read_wrongly_is_refused_by_its_cause(urban, scene, poin
 def test_two_wrong_points_of_twelve_are_named_and_left_out(urban, scene, points, tmp_path, told):
     numbers = np.random.default_rng(4)
     wrong = {2: (5.0, -2.0), 6: (-1.0, 8.0)}
-    path = written(
+    path = write_gcps(
         tmp_path / "g.csv",
         urban,
         points,
@@ -204,7 +182,7 @@ def test_the_scenes_own_pointing_is_a_column_once_there_is_one(urban, scene, exa
 
 
 def test_a_point_in_one_image_has_a_place_but_no_height(urban, scene, points, tmp_path, told):
-    path = written(tmp_path / "g.csv", urban, points[:3], role=lambda k: "control", views=1)
+    path = write_gcps(tmp_path / "g.csv", urban, points[:3], role=lambda k: "control", views=1)
     result = run_stage("checkgcps", {"gcps": path, "scene": scene, "output": str(tmp_path / "p.gpkg")}, told())
     assert set(result.components["rpc"]) == {"east", "north"} and result.rpc_rmse is None
     ground = urban.views[0].localise(urban.true_views[0].project(points[1]), points[1, 2])
@@ -267,7 +245,7 @@ def test_points_that_say_nothing_of_the_dsm_are_named(urban, tmp_path, told, cha
     lon_lat = geodetic_from_projected(urban.crs, np.column_stack([x + (col + 0.5) * cell, y - (row + 0.5) * cell]))
     points = np.column_stack([lon_lat, hills(col, row)])
     said = told()
-    path = written(tmp_path / "g.csv", urban, changed_points(points), views=0)
+    path = write_gcps(tmp_path / "g.csv", urban, changed_points(points), views=0)
     run_stage("checkgcps", {"gcps": path, "dsm": dsm}, said)
     assert [each.id for each in said.warnings][:1] == ([named] if named else [])
     if by:
@@ -289,7 +267,7 @@ def test_heights_between_cells_are_bilinear(urban, points, tmp_path, told):
     numbers = np.random.default_rng(2)
     col, row = (numbers.uniform(20, n - 20, 12) for n in urban.surface.shape[::-1])
     lon_lat = geodetic_from_projected(urban.crs, np.column_stack([x + (col + 0.5) * cell, y - (row + 0.5) * cell]))
-    path = written(tmp_path / "g.csv", urban, np.column_stack([lon_lat, 200 + 0.3 * col - 0.7 * row]), views=0)
+    path = write_gcps(tmp_path / "g.csv", urban, np.column_stack([lon_lat, 200 + 0.3 * col - 0.7 * row]), views=0)
     result = run_stage("checkgcps", {"gcps": path, "dsm": plane}, told())
     assert result.dsm_max < 0.01
 
@@ -306,8 +284,8 @@ def test_vertical_datums_of_dsm_and_points_are_brought_together(urban, points, t
     geoid = changed(urban.truth, tmp_path / "geoid.tif", lambda heights: heights - undulation, f"EPSG:{zone}+5773")
     above = points - [0, 0, undulation]
     tables = {
-        "": written(tmp_path / "e.csv", urban, points, views=0),
-        "EGM96": written(tmp_path / "g.csv", urban, above, views=0),
+        "": write_gcps(tmp_path / "e.csv", urban, points, views=0),
+        "EGM96": write_gcps(tmp_path / "g.csv", urban, above, views=0),
     }
     for datum, path in tables.items():
         for dsm in (urban.truth, geoid):
@@ -344,7 +322,7 @@ def test_holes_and_places_outside_are_not_counted_and_said(urban, points, tmp_pa
     said = told()
     result = run_stage(
         "checkgcps",
-        {"gcps": written(tmp_path / "g.csv", urban, away, views=0), "dsm": dsm, "output": str(tmp_path / "p.gpkg")},
+        {"gcps": write_gcps(tmp_path / "g.csv", urban, away, views=0), "dsm": dsm, "output": str(tmp_path / "p.gpkg")},
         said,
     )
     assert result.components["dsm"]["height"].count == 11 and result.dsm_max < 0.001
@@ -390,7 +368,7 @@ def test_layer_style_and_report_tell_all_columns(urban, scene, exact, tmp_path, 
 
 
 def test_the_page_says_only_what_applies(urban, scene, exact, points, tmp_path, told):
-    bare = written(tmp_path / "bare.csv", urban, points, views=0)
+    bare = write_gcps(tmp_path / "bare.csv", urban, points, views=0)
     run_stage("checkgcps", {"gcps": bare, "dsm": urban.truth, "report": str(tmp_path / "dsm.html")}, told())
     page = plain((tmp_path / "dsm.html").read_text(encoding="utf-8"))
     assert "12 points<" in page  # roles mean nothing where no image was measured
@@ -432,9 +410,9 @@ def test_what_cannot_be_checked_is_shortage_as_error(urban, scene, exact, points
     fails(SceneError, told, "gone.json", gcps=exact, scene=str(tmp_path / "gone.json"))
     fails(ImageError, told, "gone.tif", gcps=exact, dsm=str(tmp_path / "gone.tif"))
     fails(InputTableError, told, "gone.csv", gcps=str(tmp_path / "gone.csv"), dsm=urban.truth)
-    bare = written(tmp_path / "bare.csv", urban, points, views=0)
+    bare = write_gcps(tmp_path / "bare.csv", urban, points, views=0)
     fails(EmptyResultError, told, "No point of", "measured in an image", "give a DSM", gcps=bare, scene=scene)
-    far = written(tmp_path / "far.csv", urban, points + [1.0, 0, 0], views=0)
+    far = write_gcps(tmp_path / "far.csv", urban, points + [1.0, 0, 0], views=0)
     fails(
         EmptyResultError,
         told,
@@ -451,7 +429,7 @@ def test_what_cannot_be_checked_is_shortage_as_error(urban, scene, exact, points
 
 
 def test_without_control_points_there_is_no_compensation_and_that_is_said(urban, scene, points, tmp_path, told):
-    path = written(tmp_path / "g.csv", urban, points, role=lambda k: "check")
+    path = write_gcps(tmp_path / "g.csv", urban, points, role=lambda k: "check")
     said = told()
     result = run_stage("checkgcps", {"gcps": path, "scene": scene}, said)
     assert result.rpc_medae is not None and result.compensated_medae is None

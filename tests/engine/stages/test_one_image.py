@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import json
 
 import numpy as np
 import pytest
 
 from repm_qgis.contracts.errors import OptionError, SceneError
-from repm_qgis.geometry.frames import geodetic_from_projected
 from repm_qgis.scene import load_views
 from repm_qgis.stages import run_stage
+from tests.engine.gcp_tables import ground_points, write_gcps
 from tests.engine.pages import plain
 
 SENSORS = {
@@ -34,24 +33,14 @@ def scene(urban, tmp_path_factory, told):
 
 @pytest.fixture(scope="module")
 def points(urban):
-    """(12, 3) longitude, latitude, height of cells of the true surface."""
-    numbers = np.random.default_rng(8)
-    rows, cols = (numbers.integers(20, n - 20, 12) for n in urban.surface.shape)
-    x, cell, _, y, _, _ = urban.transform
-    xy = np.column_stack([x + (cols + 0.5) * cell, y - (rows + 0.5) * cell])
-    return np.column_stack([geodetic_from_projected(urban.crs, xy), urban.surface[rows, cols]])
+    return ground_points(urban)
 
 
 @pytest.fixture(scope="module")
 def gcps(urban, points, tmp_path_factory):
     """Where the true sensor sees the points."""
-    path, view = tmp_path_factory.mktemp("points") / "gcps.csv", urban.true_views[0]
-    with open(path, "w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow(("id", "lon", "lat", "height", "view", "col", "row", "role"))
-        for number, (point, pixel) in enumerate(zip(points, view.project(points))):
-            table.writerow([f"P{number}", *map(repr, map(float, point)), f"{view.name}.tif", *pixel, "control"])
-    return str(path)
+    path = tmp_path_factory.mktemp("points") / "gcps.csv"
+    return write_gcps(path, urban, points, role=lambda number: "control", views=1)
 
 
 def test_its_error_shrinks_when_it_is_refined(scene, tmp_path, told):
