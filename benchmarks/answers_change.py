@@ -23,6 +23,7 @@ _SIZE, _SEEDS = 900, (3, 5, 8)
 _NEAR_M = 2.0  # a found outline may lie so far outside of the true one
 _LEAST_SHARE = 0.2  # of a found outline that must lie there
 _TOWN = SHARED / "jax_068"
+QUICK_VIEWS = ("001", "003")
 _VIEWS = {
     "autumn and winter, odd": "001 003 007 009 011",
     "autumn and winter, even": "002 004 005 006 010",
@@ -42,7 +43,7 @@ class Polygon:
 
 def _size() -> int:
     """The side of a town's images, px."""
-    return 500 if is_quick() else _SIZE
+    return 400 if is_quick() else _SIZE
 
 
 def _found(before: str, after: str, confidences: Sequence[str], folder: str) -> Tuple[List[Polygon], ChangeResult]:
@@ -175,10 +176,7 @@ def _real() -> List[str]:
         return [not_measured("jax_068")]
     folders = {}
     for name, numbers in islice(_VIEWS.items(), 2 if is_quick() else None):
-        numbers = " ".join(numbers.split()[: 2 if is_quick() else None])
-        folder = CACHE / f"change_{numbers.replace(' ', '_')}"
-        images = [str(_TOWN / f"JAX_068_{number}_RGB.tif") for number in numbers.split()]
-        folders[name] = made_once(folder, lambda: _dsm(images, folder))  # noqa: B023 - runs now
+        folders[name] = real_scene(numbers.split()[: 2 if is_quick() else None])
     first, *others = folders
     rows = []
     with tempfile.TemporaryDirectory() as place:
@@ -200,8 +198,12 @@ def _real() -> List[str]:
     ]
 
 
-def _dsm(images: Sequence[str], folder: Path) -> None:
-    pipeline(images, folder, confidence=f"{folder}/confidence.tif", resolution=0.5, **towns.quick_area())
+def real_scene(numbers: Sequence[str]) -> Path:
+    """The folder of the real town's reconstruction and DSM from some of its views, in the cache."""
+    images = [str(_TOWN / f"JAX_068_{number}_RGB.tif") for number in numbers]
+    folder = CACHE / f"change_{'_'.join(numbers)}"
+    options = {"confidence": f"{folder}/confidence.tif", "resolution": 0.5, **towns.quick_area()}
+    return made_once(folder, lambda: pipeline(images, folder, **options))
 
 
 def change() -> List[str]:

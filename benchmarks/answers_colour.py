@@ -13,7 +13,7 @@ import numpy as np
 from osgeo import gdal
 from scipy import ndimage
 
-from benchmarks import towns
+from benchmarks import answers_change
 from benchmarks.colour_scene import WEIGHTS, make_colour_scene
 from benchmarks.runner import ROOT, is_quick, measured, pipeline, stage, there
 from benchmarks.scenes import CACHE, SHARED, made_once, not_measured, quick_size
@@ -56,13 +56,11 @@ def _sharpening() -> List[str]:
     made_once(folder, lambda: make_colour_scene(SceneSpec.default("urban", size, 5), str(folder)))
     images, truth = sorted(str(path) for path in folder.glob("img_0?.tif")), str(folder / "colours.tif")
     with tempfile.TemporaryDirectory() as work:
-        pipeline(images, work, resolution=0.5)
-        made = {}
-        for name, pansharpen in (("pansharpened", True), ("resampled", False)):
-            paths = {"output": f"{work}/{name}_dsm.tif", "ortho": f"{work}/{name}.tif"}
-            more = {"colour": "all", "pansharpen": pansharpen, "resolution": 0.5, "ortho_resolution": 0.5}
-            fused = stage(DSMFUSE, scene=f"{work}/w/reconstructed.json", **paths, **more)
-            made[name] = there(fused.ortho)
+        options = {"colour": "all", "resolution": 0.5, "ortho_resolution": 0.5}
+        made = {name: f"{work}/{name}.tif" for name in ("pansharpened", "resampled")}
+        pipeline(images, work, ortho=made["pansharpened"], pansharpen=True, **options)
+        again = {"scene": f"{work}/w/reconstructed.json", "output": f"{work}/again.tif", "ortho": made["resampled"]}
+        stage(DSMFUSE, pansharpen=False, **again, **options)
         rows = _against_truth(made, truth)
     headers = "band | mean, pansharpened : resampled | median error, pansharpened, % | resampled, % | correlation "
     headers += "with the truth, pansharpened | resampled"
@@ -101,10 +99,10 @@ def _against_truth(made: Dict[str, str], truth: str) -> List[List[object]]:
 
 
 def _town() -> List[str]:
-    images = sorted(str(path) for path in _TOWN.glob("*_RGB.tif"))[: 2 if is_quick() else None]
+    numbers = sorted(path.name.split("_")[2] for path in _TOWN.glob("*_RGB.tif"))
+    images = answers_change.QUICK_VIEWS if is_quick() else numbers
+    scene = str(answers_change.real_scene(images) / "w" / "reconstructed.json")
     with tempfile.TemporaryDirectory() as work:
-        pipeline(images, work, resolution=0.5, **towns.quick_area())
-        scene = f"{work}/w/reconstructed.json"
         costs, made, cells = [], {}, {"resolution": 0.5, "ortho_resolution": 0.5}
         for colour in ("greys", "auto"):
             made[colour] = f"{work}/{colour}.tif"

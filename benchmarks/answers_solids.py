@@ -91,7 +91,7 @@ def _shifts() -> List[str]:
             cloud, moved = f"{folder}/lidar.laz", f"{folder}/moved.tif"
             _lidar(case.reference, cloud)
             for name, reference in few((("lidar points", cloud), ("raster", case.reference))):
-                for method in ("3d", "icp"):
+                for method in few(("3d", "icp")):
                     say(f"solids: {case.name}, {name}, {method}")
                     base = alone(found_shift, case.dsm, reference, method)
                     errors = []
@@ -173,7 +173,7 @@ def _meshes() -> List[str]:
     with tempfile.TemporaryDirectory() as folder:
         for side in (300,) if is_quick() else (1400, 4472):
             alone(make, folder, side)
-            for kind in ("ply", "glb", "obj"):
+            for kind in few(("ply", "glb", "obj")):
                 say(f"solids: {kind} of {side} cells a side")
                 path = f"{folder}/m.{kind}"
                 used = alone(write_mesh_of, f"{folder}/d.tif", path, 500_000)
