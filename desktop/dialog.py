@@ -40,6 +40,7 @@ from ..processing_provider.last_scene import last_scene
 from ..processing_provider.values import any_paths, is_empty
 from ..repm_qgis.contracts.documents import JsonMapping
 from ..repm_qgis.contracts.options import PRESETS
+from .arrival import bring_into_sight
 from .next_step import STEPS, push_message
 
 _OF_SETTINGS = (*settings.COLMAP, "CLUSTER")  # the options page has these, for all runs
@@ -80,6 +81,7 @@ class Dialog(AlgorithmDialog):
         if not self.isVisible():
             self._in_use.discard(self)
         if successful:
+            bring_into_sight(iface, result.values())
             text, buttons = STEPS.after(iface, self.algorithm().name(), self._given, result)
             if buttons and self.isVisible():
                 push_message(self.messageBar(), text, [(title, self._closing(run)) for title, run in buttons])

@@ -6,13 +6,12 @@ the tree alone (see hillshades.py).
 
 from __future__ import annotations
 
-from qgis.core import QgsRectangle
 from qgis.gui import QgisInterface
 from qgis.PyQt import sip
 from qgis.PyQt.QtCore import QCoreApplication, QEvent, QObject, QTimer
 from qgis.PyQt.QtWidgets import QApplication, QMenu
 
-_EDGE = 1.05  # of the group's extent, as QGIS has it
+from .arrival import extent_of, zoom_to
 
 
 class GroupZoom(QObject):
@@ -20,7 +19,7 @@ class GroupZoom(QObject):
 
     def __init__(self, iface: QgisInterface) -> None:
         super().__init__()
-        self._canvas, self._view = iface.mapCanvas(), iface.layerTreeView()
+        self._iface, self._view = iface, iface.layerTreeView()
         # The mouse opens the menu in the viewport, a key in the view.
         self._watched = [self._view, self._view.viewport()]
         for widget in self._watched:
@@ -50,15 +49,6 @@ class GroupZoom(QObject):
     def zoom(self) -> None:
         """Show all layers of the current group on the map."""
         group = self._view.currentGroupNode()
-        layers = [node.layer() for node in group.findLayers()] if group is not None else []
-        settings, extent = self._canvas.mapSettings(), QgsRectangle()
-        for layer in layers:
-            if layer is not None and not layer.extent().isNull():
-                place = settings.layerExtentToOutputExtent(layer, layer.extent())
-                if extent.isNull():
-                    extent = QgsRectangle(place)
-                extent.combineExtentWith(place)
+        extent = extent_of(self._iface, group.findLayers() if group is not None else [])
         if not extent.isNull():
-            extent.scale(_EDGE)
-            self._canvas.setExtent(extent, True)
-            self._canvas.refresh()
+            zoom_to(self._iface, extent)

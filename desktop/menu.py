@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Callable, Optional
 
+from qgis.core import QgsProject
 from qgis.gui import QgisInterface
 from qgis.PyQt.QtCore import QCoreApplication, Qt, QTimer
 from qgis.PyQt.QtGui import QIcon
@@ -44,6 +45,7 @@ class PluginMenu:
         self._editor: Optional[SurfaceEditingDock] = None
         self._scenes: Optional[ScenesDock] = None
         STEPS.edit_dsm = self.edit_dsm
+        QgsProject.instance().cleared.connect(STEPS.begin_again)
         self.add(self.tr("First steps"), "repm", self.first_steps)
         self.add(self.tr("Inspect images…"), "inspect", lambda: self.open("repm:inspect"))
         self.add(self.tr("Make a DSM…"), "pipeline", lambda: self.open("repm:pipeline"))
@@ -91,6 +93,7 @@ class PluginMenu:
                 window.close_down()
                 window.deleteLater()
         self._installer = self._grids = None
+        QgsProject.instance().cleared.disconnect(STEPS.begin_again)
         STEPS.forget()
         STEPS.edit_dsm = None
         model_copy.unregister(self._toolbox_actions)

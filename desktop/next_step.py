@@ -50,7 +50,8 @@ class NextSteps:
 
     def __init__(self) -> None:
         self._reference: list[str] = []
-        self._fused: JsonObject = {}
+        self._fused: dict[str, tuple[JsonObject, dict[str, str]]] = {}
+        """How the DSM of a scene, by its folder, was made: parameters, and products."""
         self._iface: QgisInterface = None
         self._bar: Optional[QgsMessageBar] = None
         self._shown: Optional[QgsMessageBarItem] = None
@@ -69,8 +70,12 @@ class NextSteps:
             return "", []
         named = {name: _paths(given.get(name)) for name in ("DSM", "SCENE", "REFERENCE")}
         self._reference = named["REFERENCE"] or self._reference
-        if algorithm in ("pipeline", "dsmfuse"):
-            self._fused = {name: given[name] for name in _fusion_inputs() if not is_empty(given.get(name))}
+        scene = results.get("SCENE") if algorithm == "pipeline" else next(iter(named["SCENE"]), None)
+        if algorithm in ("pipeline", "dsmfuse") and scene:
+            inputs = {name: given[name] for name in _fusion_inputs() if not is_empty(given.get(name))}
+            names = (each.option.upper() for each in products_of("dsmfuse"))
+            made = {name: str(results[name]) for name in names if is_lasting(os.path.dirname(results.get(name) or ""))}
+            self._fused[os.path.dirname(scene)] = inputs, made
         self._iface = iface
         text, buttons, views = getattr(self, f"_after_{algorithm}")(named, results)
         if text:  # one message at a time: the step before is finished
@@ -156,10 +161,13 @@ class NextSteps:
         self.open("register", given)
 
     def fuse(self, scene: str) -> None:
-        """As the DSM was made before, of the registered scene."""
-        given = {**self._fused, "SCENE": scene}
-        if is_lasting(os.path.dirname(scene)):
-            given["OUTPUT"] = _free(os.path.join(os.path.dirname(scene), "dsm_registered.tif"))
+        """As the DSM was made before, with all its products, of the registered scene."""
+        folder = os.path.dirname(scene)
+        inputs, made = self._fused.get(folder, ({}, {}))
+        given: JsonObject = {**inputs, "SCENE": scene}
+        for name, path in {"OUTPUT": os.path.join(folder, "dsm.tif"), **made}.items():
+            if is_lasting(os.path.dirname(path)):
+                given[name] = _free("_registered".join(os.path.splitext(path)))
         self.open("dsmfuse", given)
 
     def edit(self, layer_id: str) -> None:
@@ -176,6 +184,11 @@ class NextSteps:
 
         self.forget()
         processing.createAlgorithmDialog(f"repm:{algorithm}", dict(given)).show()
+
+    def begin_again(self) -> None:
+        """Forget what was done in another project."""
+        self.forget()
+        self._reference, self._fused = [], {}
 
     def forget(self) -> None:
         """Remove the message."""

@@ -393,7 +393,7 @@ class SurfaceEditingDock(QgsDockWidget):
         layer = QgsRasterLayer(path, os.path.splitext(os.path.basename(path))[0])
         if source is None or not layer.isValid():
             return
-        layer.setName(self.tr("{name} (edited)").format(name=source.name()))
+        layer.setName(self.tr("Edited: {name}").format(name=source.name()))
         style = QgsMapLayerStyle()
         style.readFromLayer(source)
         style.writeToLayer(layer)

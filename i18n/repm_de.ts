@@ -1946,6 +1946,10 @@
         <translation>Bericht der Einpassung</translation>
     </message>
     <message>
+        <source>Report of the DSM</source>
+        <translation>Bericht über das DOM</translation>
+    </message>
+    <message>
         <source>Report of the run</source>
         <translation>Bericht über den Lauf</translation>
     </message>
@@ -2898,8 +2902,8 @@
         <translation>Die Bearbeitung wurde zurückgenommen. {reason}</translation>
     </message>
     <message>
-        <source>{name} (edited)</source>
-        <translation>{name} (bearbeitet)</translation>
+        <source>Edited: {name}</source>
+        <translation>Bearbeitet: {name}</translation>
     </message>
     <message>
         <source>Choose an edit, press Polygon or Brush, and draw on the map.</source>

@@ -31,4 +31,5 @@ class DsmFuse(RepmAlgorithm):
             *parameters.colours(),
             parameters.cluster(),
             *parameters.dsm_products(),
+            parameters.product(self.ID, "report"),
         ]

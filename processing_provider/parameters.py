@@ -747,8 +747,8 @@ def product(stage: str, option: str) -> QgsProcessingParameterDefinition:
 
 
 def dsm_products() -> list[QgsProcessingParameterDefinition]:
-    """The DSM, and the products that may come with it."""
-    return [_destination(each) for each in products.products_of("dsmfuse")]
+    """The DSM, and the products that may come with it, without the stage's report."""
+    return [_destination(each) for each in products.products_of("dsmfuse") if each.option != "report"]
 
 
 def _destination(each: products.Product) -> QgsProcessingParameterDefinition:

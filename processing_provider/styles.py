@@ -177,26 +177,31 @@ def _place(node: QgsLayerTreeLayer, kind: str, run: Run) -> QgsLayerTreeLayer:
     order = _FROM_TOP.index(kind)
     copy = node.clone()
     copy.setCustomProperty(_ORDER, order)
-    covering = _OFF.get(kind, "") in _kinds(group)
+    covering = bool(_kinds(group) & set(_OFF.get(kind, ())))
     copy.setItemVisibilityChecked(not covering)
     copy.setExpanded(node.isExpanded() and not covering)
     group.insertChildNode(_index(group, node, order), copy)
     parent.removeChildNode(node)
     for other in group.children():
-        if _OFF.get(_kind(other)) == kind:
+        if kind in _OFF.get(kind_of(other), ()):
             other.setItemVisibilityChecked(False)
             other.setExpanded(False)
     return copy
 
 
-def _kind(node: QgsLayerTreeNode) -> str:
+def kind_of(node: QgsLayerTreeNode) -> str:
     """The kind of a layer of ours, "" of any other."""
     order = int(node.customProperty(_ORDER, -1))
     return _FROM_TOP[order] if 0 <= order < len(_FROM_TOP) else ""
 
 
+def is_run(node: QgsLayerTreeNode) -> bool:
+    """Whether a node of the tree of layers is the group of a run."""
+    return isinstance(node, QgsLayerTreeGroup) and bool(node.customProperty(_SCENE))
+
+
 def _kinds(group: QgsLayerTreeGroup) -> set[str]:
-    return {_kind(child) for child in group.children()} - {""}
+    return {kind_of(child) for child in group.children()} - {""}
 
 
 def _index(group: QgsLayerTreeGroup, node: QgsLayerTreeNode, order: int) -> int:

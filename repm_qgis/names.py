@@ -51,8 +51,9 @@ def titled(name: str, taken: Sequence[str]) -> str:
 
 
 def marked(name: str, registered: bool) -> str:
-    """A scene's name, which tells it from the scene before it was registered: "hills, registered"."""
-    return f"{name}, {said('registered')}" if name and registered else name
+    """A scene's name, which tells it from the scene before it was registered, also where its end is cut off:
+    "registered, hills"."""
+    return f"{said('registered')}, {name}" if name and registered else name
 
 
 def period(taken: Sequence[str]) -> str:

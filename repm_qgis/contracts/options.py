@@ -433,16 +433,16 @@ class DsmFuseOptions(Options):
     the heights of a cell that agree. ``fill``: ``occlusions``, cells that one image hides from the other take the
     background's height, and those that a shadow leaves without texture that of the ground where it ends; ``all``,
     remaining holes are interpolated besides; or ``none``. ``water``: ``keep`` it as it was matched, or ``flatten`` it
-    to the level of its shore; ``water_mask`` says where it is. ``outlier_radius`` in metres, 0 = off.
-    ``confidence``, ``ortho``, ``cloud``, ``mesh``, ``viewer`` (a page for the browser), ``stac`` (an item for
-    catalogues): files to write, None = not wanted; ``ept`` is a folder, and ``view_heights`` one for the DSM of each
-    pair alone. ``ortho_resolution`` are the orthophoto's cells, in units of the CRS, 0 = the ground sampling distance
-    of the finest image that it shows. ``mesh_vertices``: at most so many in the mesh, 0 = one a cell. ``colour`` of
-    orthophoto, clouds and mesh: ``auto``, the natural ones where the images or ``xs`` have them; ``greys``; ``all``,
-    all their bands. ``xs`` are multispectral images beside panchromatic ones, in any order; empty: those that lie
-    beside the images under the vendors' names. ``pansharpen`` gives them the detail of the panchromatic images.
-    ``cloud_normals`` gives the points of ``cloud`` normals. ``memory`` and
-    ``cluster`` as in ``ReconstructOptions``.
+    to the level of its shore; ``water_mask`` says where it is. ``outlier_radius`` in metres, 0 = off. ``confidence``,
+    ``ortho``, ``cloud``, ``mesh``, ``viewer`` (a page for the browser), ``stac`` (an item for catalogues): files to
+    write, None = not wanted; ``ept`` is a folder, and ``view_heights`` one for the DSM of each pair alone; ``report``
+    is a page about the DSM. ``ortho_resolution`` are the orthophoto's cells, in units of the CRS, 0 = the ground
+    sampling distance of the finest image that it shows. ``mesh_vertices``: at most so many in the mesh, 0 = one a cell.
+    ``colour`` of orthophoto, clouds and mesh: ``auto``, the natural ones where the images or ``xs`` have them;
+    ``greys``; ``all``, all their bands. ``xs`` are multispectral images beside panchromatic ones, in any order; empty:
+    those that lie beside the images under the vendors' names. ``pansharpen`` gives them the detail of the panchromatic
+    images. ``cloud_normals`` gives the points of ``cloud`` normals. ``memory`` and ``cluster`` as in
+    ``ReconstructOptions``.
     """
 
     scene: str = read()
@@ -472,6 +472,7 @@ class DsmFuseOptions(Options):
     pansharpen: bool = switch(True)
     cloud_normals: bool = switch(False)
     ortho_resolution: float = number(0.0, 0.01, 1000, "m", automatic=True)
+    report: Optional[str] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -558,7 +559,7 @@ class PipelineOptions(Options):
             fit=EpmFitOptions._of(values, tile_size=tile_size, report=None),
             refine=RefineOptions._of(values, dem=dem, write_images=False, report=None, **model),
             reconstruct=ReconstructOptions._of(values, scene=refined, output_scene=matched, own_surface=own_surface),
-            fuse=DsmFuseOptions._of(values, scene=placed if register else matched),
+            fuse=DsmFuseOptions._of(values, scene=placed if register else matched, report=None),
             register=register,
             **own,
         )

@@ -27,7 +27,7 @@ class Style:
     ``ramp`` are the colours that are spread over the values of a ``band``, with their ``unit`` in the legend;
     ``classes`` are the names of values 0, 1, ... of a discrete one. ``template`` is the file's name where that is not
     the kind's. ``off``: the layer hides others, or is there to check the run, so it is not switched on where there is a
-    DSM to look at, or a layer of the kind ``beside``. ``plain``: it has no template, and looks as QGIS shows such a
+    layer of one of the kinds ``beside``, a DSM as a rule. ``plain``: it has no template, and looks as QGIS shows such a
     file. ``coloured`` is the template of files that have red, green and blue. ``view_of``: not a layer of its own but
     one more style of the layers of that kind, with its ``title``.
     """
@@ -35,7 +35,7 @@ class Style:
     kind: str
     ramp: str = ""
     off: bool = False
-    beside: str = "dsm"
+    beside: Tuple[str, ...] = ("dsm",)
     plain: bool = False
     template: str = ""
     coloured: str = ""
@@ -67,7 +67,7 @@ STYLES = (
     Style("volumes"),
     Style("buildings"),
     Style("contours"),
-    Style("breaklines"),
+    Style("breaklines", off=True, beside=("contours",)),
     Style("significant", "diverging", template="ramp", unit=" m"),
     Style(
         "significant_level",
@@ -78,8 +78,8 @@ STYLES = (
         view_of="significant",
         title="Level of detection",
     ),
-    Style("change", "diverging", off=True, beside="significant", template="ramp", unit=" m"),
-    Style("changed", off=True, beside="trend", template="palette", title="First date of change"),
+    Style("change", "diverging", off=True, beside=("significant",), template="ramp", unit=" m"),
+    Style("changed", off=True, beside=("trend",), template="palette", title="First date of change"),
     Style("changed_last", template="palette", band=2, view_of="changed", title="Last date of change"),
     Style("trend", "diverging", template="ramp", unit=" m/a"),
     Style(
@@ -91,8 +91,8 @@ STYLES = (
         view_of="trend",
         title="Standard error of the trend",
     ),
-    Style("dated", "elevation", off=True, beside="trend", template="ramp", unit=" m"),
-    Style("stack", "elevation", off=True, beside="trend", template="ramp", unit=" m"),
+    Style("dated", "elevation", off=True, beside=("trend",), template="ramp", unit=" m"),
+    Style("stack", "elevation", off=True, beside=("trend",), template="ramp", unit=" m"),
     Style("offsets"),
     Style("differences", "diverging", template="ramp", unit=" m", band=2, title="After the registration"),
     Style(
@@ -130,8 +130,8 @@ STYLES = (
     Style("image", plain=True),
     Style("objects", template="palette", classes=("Ground", "Object"), off=True),
     Style("object_heights", "viridis", off=True, template="ramp", unit=" m"),
-    Style("slope", "viridis", off=True, template="ramp", unit="°"),
-    Style("ruggedness", "viridis", off=True, template="ramp", unit=" m"),
+    Style("slope", "viridis", off=True, beside=("dsm", "shading"), template="ramp", unit="°"),
+    Style("ruggedness", "viridis", off=True, beside=("dsm", "shading"), template="ramp", unit=" m"),
     Style("shading", "grey", off=True, template="ortho"),
     Style("hillshade"),
     Style("dsm", "elevation", template="ramp", unit=" m"),
@@ -223,6 +223,7 @@ _REPORTS = {
     "epmfit": "Report of the cameras",
     "refine": "Report of the refinement",
     "register": "Report of the registration",
+    "dsmfuse": "Report of the DSM",
     "pipeline": "Report of the run",
     "mosaic": "Report of the mosaic",
     "dtm": "Report of the terrain",
@@ -257,7 +258,9 @@ PRODUCTS = (
     ),
     Product("register", "offsets", "Offsets of the scene's parts", POINTS, UNLESS_SKIPPED, "offsets", help=_OFFSETS),
     Product("dsmfuse", "output", "DSM", RASTER, ALWAYS, "dsm", help=_DSM),
-    Product("dsmfuse", "confidence", "Confidence", RASTER, style="confidence", help=_CONFIDENCE, several=True),
+    Product(
+        "dsmfuse", "confidence", "Confidence", RASTER, UNLESS_SKIPPED, "confidence", help=_CONFIDENCE, several=True
+    ),
     Product("dsmfuse", "ortho", "Orthophoto", RASTER, style="ortho", help=_ORTHO, several=True),
     Product("dsmfuse", "water_mask", "Water", RASTER, style="water", help=_WATER_MASK),
     Product("dsmfuse", "cloud", "Point cloud", FILE, filter="LAZ (*.laz);;LAS (*.las);;PLY (*.ply)", help=_CLOUD),
@@ -404,11 +407,6 @@ def stem_of(stage: str, product: Product, surface: str = "") -> str:
 
 def product(stage: str, option: str) -> Product:
     return next(each for each in products_of(stage) if each.option == option)
-
-
-def not_requested(stage: str) -> Dict[str, object]:
-    """The options of the products that a stage writes on request, all of them left out."""
-    return {each.option: None for each in products_of(stage) if each.wanted == ON_REQUEST}
 
 
 def forms() -> Dict[str, str]:

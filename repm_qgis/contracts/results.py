@@ -252,6 +252,7 @@ class FusedSurface(Result):
 class DsmFuseResult(FusedSurface):
     """Of :mod:`repm_qgis.stages.dsmfuse`."""
 
+    report: Path
     seconds: Seconds
 
 

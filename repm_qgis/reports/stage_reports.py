@@ -14,7 +14,7 @@ from ..contracts.arrays import ByteImage, FloatArray, FloatImage
 from ..contracts.errors import RepmError
 from ..contracts.products import STYLES, forms, products_of
 from ..contracts.records import FusionFacts
-from ..contracts.results import PipelineResult
+from ..contracts.results import DsmFuseResult, FusedSurface, PipelineResult
 from ..geometry.footprints import footprint
 from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.interpolation import on_lattice
@@ -119,10 +119,25 @@ def _image_below(scene: Scene, view: View, path: str, values: FloatImage, altitu
 
 def pipeline_report(scene: Scene, result: PipelineResult, command: Optional[str]) -> Report:
     """The whole run on one page: surface, inputs, geometry, ties, and the command that repeats it."""
+    report = surface_report(scene, result, result.scene)
+    if command:
+        report.section("Repeat this run").command(command)
+    return _history(report, scene, result.seconds)
+
+
+def fusion_report(scene: Scene, result: DsmFuseResult, path: str) -> Report:
+    """A DSM of a scene that was reconstructed before, and how that was; ``path`` is the scene's file."""
+    return _history(surface_report(scene, result, path), scene)
+
+
+def surface_report(scene: Scene, result: FusedSurface, path: str) -> Report:
+    """A DSM with all that it comes from, but for its history."""
     report = Report("Surface model from satellite images", os.path.basename(result.output))
     facts = FusionFacts.from_mapping(result.to_mapping())
     _verdict(report, scene, facts)
     _surface(report, result.output, result.vertical_datum, facts)
+    if scene.registration is not None:
+        report.paragraph("This page describes the DSM after the registration.")
     if result.ortho:
         picture = pictures.png_bytes(pictures.photograph(result.ortho, 800))
         report.png(picture, "The orthophoto, north up. White: no image shows the ground there, or it has no height.")
@@ -134,16 +149,14 @@ def pipeline_report(scene: Scene, result: PipelineResult, command: Optional[str]
     _confidence(report, result.confidence, result.ortho or "", result.output)
     made = sorted(products_of("pipeline"), key=lambda product: product.stage != "dsmfuse")
     files = [(each.title, getattr(result, each.option, None)) for each in made if each.style or each.stage == "dsmfuse"]
-    files.append(("Scene, for the next stage", result.scene))
+    files.append(("Scene, for the next stage", path))
     report.section("Files").table(
         "product | file",
         [[title, str(path)] for title, path in files if path],
         "To measure the DSM's accuracy, compare it with a reference: 'Compare a DSM with a reference' "
         "(repm:comparedsm).",
     )
-    if command:
-        report.section("Repeat this run").command(command)
-    return _history(report, scene, result.seconds)
+    return report
 
 
 def _surface(report: Report, path: str, datum: str, facts: FusionFacts) -> None:

@@ -20,7 +20,7 @@ from ..contracts.findings import Finding
 from ..contracts.formats import companions
 from ..contracts.options import DsmFuseOptions, ViewerOptions
 from ..contracts.paths import real_path
-from ..contracts.products import not_requested, paths_of, product, products_of
+from ..contracts.products import paths_of, product, products_of
 from ..contracts.records import FusionFacts, ViewPair
 from ..contracts.results import DsmFuseResult
 from ..exports.stac import require_times, write_item
@@ -41,10 +41,11 @@ from ..ortho.grey_ortho import make_grey_ortho
 from ..ortho.parameters import OrthoParameters
 from ..ortho.spectra import Spectra
 from ..planning.disk_space import fusion_needs, require_space
+from ..reports.stage_reports import fusion_report
 from ..reports.styles import height_limits, write_style
 from ..reports.verdict import of_surface
 from ..runtime.parallel import run_whole
-from ..runtime.progress import Part, Progress, warn_all
+from ..runtime.progress import Part, Progress, Recorder, warn_all
 from ..runtime.together import join
 from ..runtime.workspace import ensure_folder, temporary_folder
 from ..scene import Scene
@@ -64,7 +65,7 @@ _ORTHO, _POINTS = 0.25, 0.2  # of the time that the DSM takes, for the orthophot
 
 def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> DsmFuseResult:
     """Grid, aggregate, filter and write; gives the products' paths and the share of valid cells."""
-    start = time.monotonic()
+    start, progress = time.monotonic(), Recorder(progress)
     scene = reconstructed(options.scene)
     scene.require_same_images()  # a town's brightness is of them, without an orthophoto as well
     layout = _laid_out(scene, options, progress, parameters)
@@ -102,10 +103,9 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
     require_same()
     if options.stac:
         titles = {each.option: (each.title, getattr(options, each.option)) for each in products_of("dsmfuse")}
-        write_item(options.stac, scene, {name: each for name, each in titles.items() if name != "stac"})
+        write_item(options.stac, scene, {name: each for name, each in titles.items() if name not in ("stac", "report")})
     _log(options, parameters, facts, progress)
-    progress.step(1.0, "DSM fused")
-    return DsmFuseResult(
+    result = DsmFuseResult(
         output=options.output,
         confidence=options.confidence,
         ortho=options.ortho,
@@ -132,8 +132,15 @@ def run(options: DsmFuseOptions, progress: Progress, parameters: EngineParameter
         water=facts.water,
         water_m2=facts.water_m2,
         water_evidence=facts.water_evidence,
+        report=options.report,
         seconds=round(time.monotonic() - start, 3),
     )
+    if options.report:
+        fusion_report(scene, result, options.scene).of(scene_title(scene, options.scene)).write(
+            options.report, progress
+        )
+    progress.step(1.0, "DSM fused")
+    return result
 
 
 def _laid_out(scene: Scene, options: DsmFuseOptions, progress: Progress, parameters: EngineParameters) -> DsmLayout:
@@ -378,7 +385,8 @@ def _alone(fusion: Fusion, pair: Tuple[str, str]) -> Fusion:
     # Without the DEM, which all pairs together are compared with.
     scene, layout = replace(fusion.scene, tiles=tiles, dem=""), replace(fusion.layout, windows=windows)
     place = ensure_folder(str(fusion.options.view_heights)) / re.sub(r"[^\w.-]", "_", "_".join(pair))
-    made: Keywords = {**not_requested("dsmfuse"), "output": f"{place}.tif", "confidence": f"{place}_confidence.tif"}
+    left_out: Keywords = {each.option: None for each in products_of("dsmfuse")}
+    made = {**left_out, "output": f"{place}.tif", "confidence": f"{place}_confidence.tif"}
     options = replace(fusion.options, fill="none", water="keep", **made)
     return Fusion.in_folder(fusion.folder.parent, options, fusion.parameters, scene, layout)
 

@@ -89,7 +89,7 @@ def test_a_dsm_says_when_its_images_were_taken(tmp_path):
     assert names.surface_title(path) == f"{os.path.basename(tmp_path)}, 2019-04-02 – 2019-05-01"
 
 
-@pytest.mark.parametrize("placed, mark", (("registered to a reference", ", registered"), ("ground control points", "")))
+@pytest.mark.parametrize("placed, mark", (("registered to a reference", "registered, "), ("ground control points", "")))
 def test_a_dsm_of_a_registered_scene_is_told_from_the_one_before(placed, mark, tmp_path):
     path = str(tmp_path / "dsm.tif")
     tags = {"REPM_PLACED": placed, names.DAYS: "2019-05-01"}
@@ -97,11 +97,11 @@ def test_a_dsm_of_a_registered_scene_is_told_from_the_one_before(placed, mark, t
     with created(path, frame, metadata=tags) as writer:
         writer.write(np.zeros((2, 2), np.float32), 0, 0)
     assert names.is_of_registered(path) == bool(mark)
-    assert names.surface_title(path) == f"{os.path.basename(tmp_path)}{mark}, 2019-05-01"
+    assert names.surface_title(path) == f"{mark}{os.path.basename(tmp_path)}, 2019-05-01"
     assert not names.is_of_registered(str(tmp_path / "none.tif"))
     assert names.marked("", True) == ""
     with written_in("de"):
-        assert names.marked("hills", True) == "hills, eingepasst"
+        assert names.marked("hills", True) == "eingepasst, hills"
 
 
 @pytest.mark.parametrize("text, registered", (('{"shift": 1}', True), ("null", False)))

@@ -3,7 +3,7 @@
 import os
 import sys
 
-from qgis.core import QgsApplication, QgsProject
+from qgis.core import QgsApplication, QgsProject, QgsRectangle
 from qgis.PyQt.QtCore import QTimer
 from qgis.PyQt.QtWidgets import QApplication, QPushButton
 from qgis.utils import iface, plugins
@@ -63,6 +63,8 @@ def start():
 @guarded
 def compare(dialog):
     messages(dialog)
+    surface = next(each for each in QgsProject.instance().mapLayers().values() if each.name().startswith("DSM"))
+    FOUND["crs"] = [QgsProject.instance().crs().authid(), surface.crs().authid()]
     buttons(dialog.messageBar())[PLAN["compare"]].click()
     FOUND["closed"] = not dialog.isVisible()
     QTimer.singleShot(800, lambda: run("comparedsm", {"REFERENCE": PLAN["reference"]}, register))
@@ -101,6 +103,8 @@ def show(tries=60):
     root = QgsProject.instance().layerTreeRoot()
     FOUND["visible"] = [node.name() for node in root.findLayers() if node.isVisible()]
     FOUND["shown"] = QgsProject.instance().layerTreeRoot().findLayer(layer.id()).isVisible()
+    iface.mapCanvas().setExtent(QgsRectangle(0, 0, 10, 10))  # another place
+    root.findGroup("old town").setExpanded(False)
     buttons(iface.messageBar())[PLAN["again"]].click()
     QTimer.singleShot(800, lambda: run("dsmfuse", {}, compare_again))
 
@@ -108,6 +112,14 @@ def show(tries=60):
 @guarded
 def compare_again(dialog):
     messages(dialog)
+    QApplication.processEvents()
+    surface = next(each for each in QgsProject.instance().mapLayers().values() if each.name().startswith("DSM reg"))
+    root, map_settings = QgsProject.instance().layerTreeRoot(), iface.mapCanvas().mapSettings()
+    place = map_settings.layerExtentToOutputExtent(surface, surface.extent())
+    FOUND["in sight"] = iface.mapCanvas().extent().contains(place)
+    FOUND["groups"] = {each.name(): [each.itemVisibilityChecked(), each.isExpanded()] for each in root.findGroups()}
+    FOUND["ticks"] = {node.name(): node.isVisible() for node in root.findLayers()}
+    picture(iface.mainWindow(), "fused_again.png")
     buttons(dialog.messageBar())[PLAN["compare"]].click()
     QTimer.singleShot(800, lambda: run("comparedsm", {}, end))
 

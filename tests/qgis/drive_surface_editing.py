@@ -171,7 +171,7 @@ def after_undo(dock):
         for layer in QgsProject.instance().mapLayers().values()
         if "edited" in layer.source()
     }
-    edited = next(layer for layer in QgsProject.instance().mapLayers().values() if layer.name() == "DSM town (edited)")
+    edited = next(layer for layer in QgsProject.instance().mapLayers().values() if layer.name() == "Edited: DSM town")
     iface.setActiveLayer(edited)
     FOUND["of the edited layer"] = [dock.records.dsm == PLAN["dsm"], dock.list.count()]
     FOUND["kept"] = QPoint(0, 0).isNull() and sorted(os.listdir(os.path.dirname(PLAN["dsm"])))

@@ -61,7 +61,7 @@ def test_a_layers_name_tells_the_scene(plugin, tmp_path):
     compare = QgsApplication.processingRegistry().algorithmById("repm:comparedsm").create()
     assert compare._scene_name({"dsm": "/work/giza/dsm.tif", "reference": "/data/lidar.tif"}) == "giza"
     placed = {"workspace": "/work/giza", "images": images, "reference": ["/data/lidar.tif"]}
-    assert algorithm._scene_name(placed) == "giza, registered"
+    assert algorithm._scene_name(placed) == "registered, giza"
     mosaic = QgsApplication.processingRegistry().algorithmById("repm:mosaic").create()
     parts = {"dsms": ["/work/west/dsm.tif", "/work/east/dsm.tif"], "scenes": []}
     assert mosaic._scene_name({**parts, "output": temporary + "/OUTPUT.tif"}) == "west + east"

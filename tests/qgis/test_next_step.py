@@ -64,7 +64,12 @@ def test_run_compare_register_run_and_compare_again(desktop_start, town, tmp_pat
 
     folder = tmp_path / "old town"
     plan = {
-        "pipeline": {"IMAGES": town.images, "WORKSPACE": str(folder), "RESOLUTION": 1.0},
+        "pipeline": {
+            "IMAGES": town.images,
+            "WORKSPACE": str(folder),
+            "RESOLUTION": 1.0,
+            "ORTHO": str(folder / "colours.tif"),
+        },
         "reference": town.truth,
         "compare": "Compare with a reference…",
         "register": "Register to this reference…",
@@ -89,6 +94,16 @@ def test_run_compare_register_run_and_compare_again(desktop_start, town, tmp_pat
     assert filled["register"]["OUTPUT_SCENE"] == str(folder / "registered.json")
     assert filled["dsmfuse"]["SCENE"] == str(folder / "registered.json") and filled["dsmfuse"]["RESOLUTION"] == 1.0
     assert filled["dsmfuse"]["OUTPUT"] == str(folder / "dsm_registered.tif")
+    assert found["crs"][0] == found["crs"][1] == "EPSG:32631"  # of the first run's map
+    # All products of the first run are made again, the report too, and the map shows them.
+    assert found["in sight"] and found["groups"]["registered, old town"] == [True, True]
+    assert found["groups"]["old town"] == [False, False]  # the labels of what is hidden would lie on the new DSM
+    ticks = found["ticks"]
+    assert ticks["Orthophoto registered, old town"] is False and ticks["Confidence registered, old town"] is False
+    assert ticks["DSM registered, old town (WGS 84 ellipsoid)"] is True
+    for name in ("dsm_registered.tif", "colours_registered.tif", "confidence_registered.tif"):
+        assert os.path.exists(folder / name), os.listdir(folder)
+    assert "after the registration" in (folder / "dsm_report_registered.html").read_text(encoding="utf-8")
     assert (filled["comparedsm"]["DSM"], filled["comparedsm"]["REFERENCE"]) == (
         str(folder / "dsm_registered.tif"),
         town.truth,
@@ -103,8 +118,8 @@ def test_run_compare_register_run_and_compare_again(desktop_start, town, tmp_pat
     # The second DSM, and what measures it, are told from the first.
     named = dict(found["names"])
     assert named["DSM old town (WGS 84 ellipsoid)"] == "old town"
-    for name in ("DSM old town, registered (WGS 84 ellipsoid)", "Height error old town, registered"):
-        assert named[name] == "old town, registered", named
+    for name in ("DSM registered, old town (WGS 84 ellipsoid)", "Height error registered, old town"):
+        assert named[name] == "registered, old town", named
     assert not [name for name in found["visible"] if name.startswith("Height error")]  # it would hide the differences
     assert Scene.load(str(folder / "registered.json")).registration is not None
     before, after = (score_files(str(folder / name), town.truth, "none") for name in ("dsm.tif", "dsm_registered.tif"))

@@ -101,7 +101,7 @@ def test_edits_drawn_on_the_map(desktop_start, town, tmp_path):
     assert found["tool"] == [True, True] and found["none yet"] == 0 and found["automatic"] == "from the shore"
     assert found["after the polygon"][0] == "Edits in dsm_edited.tif: 1."
     names = {name: shown for name, shown, _ in found["layers"]}
-    assert names["DSM town (edited)"] and not names["DSM town"] and not names["Confidence town (edited)"]
+    assert names["Edited: DSM town"] and not names["DSM town"] and not names["Edited: Confidence town"]
     assert found["list"] == [
         "1: Fill from the rim",
         "2: Set to a height, 77.5 m",
@@ -111,9 +111,9 @@ def test_edits_drawn_on_the_map(desktop_start, town, tmp_path):
     assert "no heights surround" in found["taken back"][0] and found["taken back"][1] == 4
     assert found["enabled"] == [True, False, True, True] and found["left edits"] == ["fill", "set", "flatten"]
     renderers = found["renderers"]
-    assert renderers["DSM town (edited)"] == "singlebandpseudocolor"
-    assert names["Hillshade of DSM town (edited)"] and not names["Hillshade of DSM town"]
-    assert "Hillshade of DSM town (edited)" not in renderers  # no layer of the project
+    assert renderers["Edited: DSM town"] == "singlebandpseudocolor"
+    assert names["Hillshade of Edited: DSM town"] and not names["Hillshade of DSM town"]
+    assert "Hillshade of Edited: DSM town" not in renderers  # no layer of the project
     assert found["of the edited layer"] == [True, 3]
     assert found["left"] == 0
     assert sorted(name for name in os.listdir(os.path.dirname(dsm)) if not name.endswith(".qml")) == [
