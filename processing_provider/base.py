@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import os
 from contextlib import suppress
-from typing import Any
+from typing import Any, Callable
 
 from qgis.core import (
     QgsApplication,
@@ -17,6 +17,7 @@ from qgis.core import (
     QgsProcessing,
     QgsProcessingAlgorithm,
     QgsProcessingContext,
+    QgsProcessingException,
     QgsProcessingFeedback,
     QgsProcessingOutputFile,
     QgsProcessingOutputHtml,
@@ -40,7 +41,7 @@ from ..repm_qgis.runtime.translation import written_in
 from . import engine, helppages, last_scene, settings, styles
 from .helptext import to_html
 from .kept import in_workspace
-from .language import language, said
+from .language import dialog_words, language, said
 from .parameters import tr
 from .values import absolute, checked_value, destination, input_options, is_empty, raster_items
 
@@ -184,6 +185,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         raise NotImplementedError
 
     def initAlgorithm(self, configuration: object = None) -> None:  # noqa: N803
+        self._words: Callable[[str], str] = str  # the dialog's, once a run is prepared
         for parameter in self.parameters():
             self.addParameter(parameter)
         for output in self.extra_outputs():
@@ -196,10 +198,17 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
 
     def checkParameterValues(self, parameters: JsonMapping, context: QgsProcessingContext) -> tuple[bool, str]:
         """Files and layers as QGIS knows them are checked here, all values by the engine's options."""
+        problem = self._problem(parameters, context)
+        if problem:
+            return False, dialog_words(self.ID)(problem)
+        return super().checkParameterValues(parameters, context)
+
+    def _problem(self, parameters: JsonMapping, context: QgsProcessingContext) -> str:
+        """What is wrong with the parameters, "" where nothing is."""
         for definition in self.parameterDefinitions():
             problem = self._input_problem(definition, parameters.get(definition.name()), context)
             if problem:
-                return False, problem
+                return problem
         from ..repm_qgis.contracts.errors import RepmError
         from ..repm_qgis.stages.collisions import require_writable
         from ..repm_qgis.stages.early import require_sensible
@@ -215,8 +224,8 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             require_writable(self.ID, options)
             engine.in_python_thread(lambda: require_sensible(options))
         except RepmError as error:
-            return False, said(str(error))
-        return super().checkParameterValues(parameters, context)
+            return said(str(error))
+        return ""
 
     def _area(self, parameters: JsonMapping, context: QgsProcessingContext) -> JsonObject:
         """EXTENT as the engine takes it, where there is one: it says which part of the images will be read. QGIS itself
@@ -318,6 +327,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
                     )
                 )
         self._inputs: JsonObject = {}
+        self._words = dialog_words(self.ID)
         for definition in self.parameterDefinitions():
             if not definition.isDestination():
                 self._inputs.update(input_options(self, definition, parameters, context))
@@ -403,8 +413,11 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
 
     def run_stage(self, options: JsonMapping, feedback: QgsProcessingFeedback) -> Result:
         run = engine.run_apart if self.runs_apart(options) else engine.run_here
-        with engine.sigterm_cancels(feedback):
-            return run(self.stage(), options, feedback)
+        try:
+            with engine.sigterm_cancels(feedback):
+                return run(self.stage(), options, feedback, self._words)
+        except QgsProcessingException as error:
+            raise QgsProcessingException(self._words(str(error))) from None
 
     def _scene_name(self, options: JsonMapping) -> str:
         """The scene that a run belongs to, "" where its files and folders do not name it."""

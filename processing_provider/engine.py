@@ -137,8 +137,11 @@ def in_python_thread(call: Callable[[], _Result]) -> _Result:
     return made[0]
 
 
-def run_here(stage: Stage[R], options: JsonMapping, feedback: QgsProcessingFeedback) -> R:
-    """Run a light stage in QGIS's process. Expected failures become QgsProcessingException with one sentence."""
+def run_here(
+    stage: Stage[R], options: JsonMapping, feedback: QgsProcessingFeedback, words: Callable[[str], str] = str
+) -> R:
+    """Run a light stage in QGIS's process. Expected failures become QgsProcessingException with one sentence. ``words``
+    puts messages into those of the dialog."""
     from ..repm_qgis.contracts.errors import RepmError
     from ..repm_qgis.runtime.imports import import_failure, is_import_failure
     from ..repm_qgis.runtime.translation import written_in
@@ -146,7 +149,7 @@ def run_here(stage: Stage[R], options: JsonMapping, feedback: QgsProcessingFeedb
 
     try:
         with written_in(language(), labels(stage.name)):
-            return run_stage(stage, options, FeedbackProgress(feedback, said))
+            return run_stage(stage, options, FeedbackProgress(feedback, lambda text: words(said(text))))
     except RepmError as error:
         raise _failure(str(error)) from None
     except Exception as error:
@@ -163,9 +166,14 @@ def run_here(stage: Stage[R], options: JsonMapping, feedback: QgsProcessingFeedb
 
 
 def run_apart(
-    stage: Stage[R], options: JsonMapping, feedback: QgsProcessingFeedback, python: Optional[str] = None
+    stage: Stage[R],
+    options: JsonMapping,
+    feedback: QgsProcessingFeedback,
+    words: Callable[[str], str] = str,
+    python: Optional[str] = None,
 ) -> R:
-    """Run a heavy stage in a process of its own and give its result; raises QgsProcessingException."""
+    """Run a heavy stage in a process of its own and give its result; raises QgsProcessingException. ``words`` puts
+    messages into those of the dialog."""
     python = python or find_python()
     start = time.time()
     given = {**options, "language": language()}
@@ -174,7 +182,7 @@ def run_apart(
     shown = {**given, "proxy": without_password(given["proxy"])} if given.get("proxy") else given
     feedback.pushDebugInfo(f"{python} -m repm_qgis {stage.name} - <<< {shlex.quote(json.dumps(shown))}")
     try:
-        return stage.result.from_mapping(_EngineProcess(stage.name, python, job).result(feedback))
+        return stage.result.from_mapping(_EngineProcess(stage.name, python, job).result(feedback, words))
     except QgsProcessingException:
         _give_back(stage, options)
         remove_half_written(options, start)
@@ -340,9 +348,9 @@ class _EngineProcess:
         thread.start()
         return thread
 
-    def result(self, feedback: QgsProcessingFeedback) -> JsonObject:
+    def result(self, feedback: QgsProcessingFeedback, words: Callable[[str], str]) -> JsonObject:
         """Pass progress on until the process ends; its result, or QgsProcessingException."""
-        progress = FeedbackProgress(feedback)
+        progress = FeedbackProgress(feedback, words)
         last: JsonObject = {}
         try:
             while True:

@@ -67,7 +67,7 @@ def install(wheels: str, proxy_address: str, feedback: QgsProcessingFeedback) ->
     """Install the engine's packages; the folder of the environment. Raises QgsProcessingException in one sentence."""
     made = plan(wheels, proxy_address)
     options = {"install": True, "folder": made.folder, "wheels": wheels, "proxy": proxy_address}
-    return str(engine.run_apart(ENVIRONMENT, options, feedback, made.program).folder)
+    return str(engine.run_apart(ENVIRONMENT, options, feedback, python=made.program).folder)
 
 
 def log_path() -> str:

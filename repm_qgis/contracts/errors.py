@@ -33,7 +33,8 @@ class OptionError(RepmError, ValueError):
 
     def __init__(self, name: str, value: object, reason: str) -> None:
         shown = repr(value).replace("\\\\", "\\")  # one line, whatever is in it, and paths of Windows as they are
-        super().__init__(f"{name} is {shown}: it {reason}.")
+        empty = value is None or shown == "''"
+        super().__init__(f"{name} is empty: it {reason}." if empty else f"{name} is {shown}: it {reason}.")
         self.name = name
         self.value = value
         self.reason = reason

@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import html
 import re
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Dict, Iterator, Mapping, Tuple
 
 from ..contracts.data_folder import DATA_FOLDER
 from ..runtime.translation import SOURCE_LANGUAGE
+from ..runtime.wording import with_decimals, with_labels
 
 _DOCS = DATA_FOLDER / "docs"
-_COMMAS = ("de",)
-"""Languages that write a comma before decimals."""
 # fmt: off
 _EVERYDAY = frozenset((
     "adjustment", "margin", "headroom", "tile", "track", "choice", "source", "provenance", "candidate",
@@ -23,14 +22,8 @@ _EVERYDAY = frozenset((
     "backend", "localisation", "projection", "image", "refinement",
 ))
 """Words of the glossary that a page uses in their everyday sense, too."""
-_ALSO_WORDS = frozenset((
-    "CRS", "DSM", "DEM", "EPT", "XS", "CLOUD", "MESH", "TILE", "VIEW", "MODEL", "FILL", "ERROR", "OUTPUT",
-    "REPORT", "METHOD",
-))
-"""Names of parameters that are words as well: labels stand for them only where they are meant as names."""
 # fmt: on
 _PARTS = re.compile(r"(<style>.*?</style>|<pre>.*?</pre>|<[^>]*>)", re.DOTALL)
-_DECIMAL = re.compile(r"(?<![\w.,:/\\])(\d+)\.(\d+)(?![.,]?\w)")
 _NO_WORDS = ("h1", "title", "a", "svg", "code")
 
 
@@ -50,8 +43,8 @@ def readable(page: str, language: str, labels: Mapping[str, str]) -> str:
         if not part.strip() or "title" in inside:
             parts.append(part)
             continue
-        text = part if "svg" in inside else _labelled(part, labels)
-        text = _DECIMAL.sub(r"\1,\2", text) if language.startswith(_COMMAS) else text
+        text = part if "svg" in inside else with_labels(part, labels, partial(html.escape, quote=False))
+        text = with_decimals(text, language)
         parts.append(text if any(tag in _NO_WORDS for tag in inside) else explained.of(text))
     return "".join(parts)
 
@@ -66,24 +59,6 @@ def _follow(tag: str, inside: list[str]) -> None:
             inside.remove(name[1])
     else:
         inside.append(name[1])
-
-
-def _labelled(text: str, labels: Mapping[str, str]) -> str:
-    """Names of parameters as the dialog shows them: "(GCPS)" and "ALIGN=3d" with their labels."""
-    if not labels:
-        return text
-
-    def label(name: str) -> str:
-        return f"‘{html.escape(labels[name], quote=False)}’"
-
-    names = "|".join(sorted(map(re.escape, labels), key=len, reverse=True))
-    text = re.sub(rf"(?<![\w\"'])({names})\s?=\s?(?=\w)", lambda found: f"{label(found[1])} = ", text)
-    text = re.sub(rf"\(({names})\)", lambda found: f"({label(found[1])})", text)
-    text = re.sub(r"(?i)\b(\w[^().<>]{3,60}?) \(‘\1’\)", r"‘\1’", text)  # whose label are the very words
-    others = "|".join(name for name in names.split("|") if name not in _ALSO_WORDS and len(name) > 3)
-    if not others:
-        return text
-    return re.sub(rf"(?<![\w\"'‘])({others})(?![\w’]|\.\w)", lambda found: label(found[1]), text)
 
 
 class _Explained:

@@ -13,7 +13,7 @@ import sys
 
 import pytest
 from osgeo import gdal, osr
-from qgis.core import QgsApplication, QgsProcessingContext, QgsProcessingException
+from qgis.core import QgsApplication, QgsProcessingContext, QgsProcessingException, QgsProject
 
 
 def variant(path, source, change=None, metadata=None, nodata=None, projected=False):
@@ -222,6 +222,34 @@ def test_a_scene_that_will_not_do_is_one_sentence(plugin, feedback, scene, sampl
     newer.write_text("{ not json")
     one_sentence(message_of("errormap", {"SCENE": str(newer), "OUTPUT": out}, feedback), str(newer), "not a JSON file")
     assert not (tmp_path / "o.tif").exists()
+
+
+def test_dialogs_name_fields_and_layers_in_their_own_words(plugin, context, feedback, monkeypatch, tmp_path):
+    """Commands keep the names that they are given."""
+    from qgis.core import QgsProcessingUtils, QgsVectorLayer
+    from repm.processing_provider import language
+
+    project = QgsProject.instance()
+    hidden = QgsProcessingUtils.generateTempFilename("0123456789abcdef.tif")
+    layer = QgsVectorLayer(hidden, "Lidar of the north", "ogr")
+    project.addMapLayer(layer)
+    try:
+        algorithm = QgsApplication.processingRegistry().algorithmById("repm:comparedsm").create()
+        missing = {"DSM": None, "REFERENCE": str(tmp_path / "gone.tif"), "OTHERS": [], "ALIGN": "none"}
+        plain = algorithm.checkParameterValues(missing, context)[1]
+        assert plain.startswith("REFERENCE '") and "gone.tif" in plain
+        monkeypatch.setattr(language, "is_desktop", lambda: True)
+        assert algorithm.checkParameterValues(missing, context)[1] == plain.replace(
+            "REFERENCE ", "‘Reference (DSM or point cloud)’ ", 1
+        )
+        words = language.dialog_words("comparedsm")
+        assert words(f"'{hidden}' has no heights") == "'Lidar of the north' has no heights"
+        assert words("ALIGN is 'none': it must be 3d.").startswith(
+            "‘Alignment before the comparison’ is ‘None’: it must"
+        )
+        assert words("DSM is empty: it must be given.") == "‘DSM or point cloud to measure’ is empty: it must be given."
+    finally:
+        project.removeMapLayer(layer.id())
 
 
 def test_a_slip_in_a_parameters_name_is_told(plugin, feedback, sample, tmp_path):

@@ -77,7 +77,7 @@ def test_checkgcps_needs_only_a_dsm(headless, sample, tmp_path):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["DSM=", "SCENE="], "SCENE is None: it must be given, or DSM, or both"),
+        (["DSM=", "SCENE="], "SCENE is empty: it must be given, or DSM, or both"),
         (["GCPS=gone.csv", "DSM=truth"], "GCPS 'gone.csv' is not there"),
         (["DSM=truth", "GCP_DATUM=sea level"], "GCP_DATUM is 'sea level'"),
     ],

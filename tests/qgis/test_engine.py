@@ -147,7 +147,9 @@ def all_gone(pids, seconds=0.5):
 def test_progress_notes_and_result_come_through(engine, feedback, monkeypatch):
     monkeypatch.setenv("PYTHONHOME", "/nonsense")
     monkeypatch.setenv("PYTHONPATH", "/nonsense")
-    result = engine.run_apart(stage_of("fine"), {"images": ["ä b.tif"], "x": 1.5, "y": None}, feedback, VENV_PYTHON)
+    result = engine.run_apart(
+        stage_of("fine"), {"images": ["ä b.tif"], "x": 1.5, "y": None}, feedback, python=VENV_PYTHON
+    )
     assert result.got == {"images": ["ä b.tif"], "x": 1.5, "y": None}
     assert result.path == engine.PLUGIN_FOLDER
     assert result.home is None
@@ -161,7 +163,7 @@ def test_progress_notes_and_result_come_through(engine, feedback, monkeypatch):
 @pytest.mark.parametrize("proxy", ("http://anna:secret@10.0.0.1:3128", "anna:secret@10.0.0.1:3128"))
 def test_the_log_has_no_password_of_a_proxy(engine, feedback, proxy):
     """Logs are sent to others; the engine itself gets the proxy as it is."""
-    result = engine.run_apart(stage_of("fine"), {"proxy": proxy}, feedback, VENV_PYTHON)
+    result = engine.run_apart(stage_of("fine"), {"proxy": proxy}, feedback, python=VENV_PYTHON)
     assert result.got == {"proxy": proxy}
     assert "10.0.0.1:3128" in feedback.textLog() and "secret" not in feedback.textLog()
 
@@ -180,7 +182,7 @@ def test_the_log_has_no_password_of_a_proxy(engine, feedback, proxy):
 @pytest.mark.long
 def test_every_end_but_a_bug_is_one_sentence(engine, feedback, stage, words):
     with pytest.raises(QgsProcessingException) as caught:
-        engine.run_apart(stage_of(stage), {}, feedback, VENV_PYTHON)
+        engine.run_apart(stage_of(stage), {}, feedback, python=VENV_PYTHON)
     text = str(caught.value)
     assert all(word in text for word in words), text
     assert "\n" not in text and "Traceback" not in text
@@ -191,12 +193,12 @@ def test_what_the_system_says_of_memory_is_passed_on(engine, feedback, monkeypat
     counts = iter((3, 4))
     monkeypatch.setattr(containers, "memory_kills", lambda: next(counts))
     with pytest.raises(QgsProcessingException, match="SIGKILL; the system says that memory ran out: use fewer WORKERS"):
-        engine.run_apart(stage_of("memory"), {}, feedback, VENV_PYTHON)
+        engine.run_apart(stage_of("memory"), {}, feedback, python=VENV_PYTHON)
 
 
 def test_a_bug_keeps_its_traceback(engine, feedback):
     with pytest.raises(QgsProcessingException, match="(?s)please report.*Traceback.*ZeroDivisionError"):
-        engine.run_apart(stage_of("bug"), {}, feedback, VENV_PYTHON)
+        engine.run_apart(stage_of("bug"), {}, feedback, python=VENV_PYTHON)
 
 
 @pytest.mark.parametrize("stage", ["forked", "spawned", "stubborn"])
@@ -214,7 +216,7 @@ def test_cancel_ends_the_whole_tree_within_two_seconds(engine, feedback, tmp_pat
     thread.start()
     with pytest.raises(QgsProcessingException, match="Cancelled by the user"):
         engine.run_apart(
-            stage_of(stage), {"pids": str(pids), "output": str(tmp_path / "dsm.tif")}, feedback, VENV_PYTHON
+            stage_of(stage), {"pids": str(pids), "output": str(tmp_path / "dsm.tif")}, feedback, python=VENV_PYTHON
         )
     seconds = time.monotonic() - cancelled[0]
     thread.join()
@@ -239,7 +241,7 @@ def test_on_windows_the_engine_is_asked_to_cancel(engine, feedback, tmp_path, mo
     thread.start()
     with pytest.raises(QgsProcessingException, match="Cancelled by the user"):
         engine.run_apart(
-            stage_of("spawned"), {"pids": str(pids), "output": str(tmp_path / "dsm.tif")}, feedback, VENV_PYTHON
+            stage_of("spawned"), {"pids": str(pids), "output": str(tmp_path / "dsm.tif")}, feedback, python=VENV_PYTHON
         )
     thread.join()
     assert not (tmp_path / ".dsm.part.tif").exists()
@@ -297,7 +299,7 @@ def test_workers_of_a_crashed_engine_are_ended(engine, feedback, tmp_path, monke
     thread = threading.Thread(target=crash)
     thread.start()
     with pytest.raises(QgsProcessingException, match="SIGKILL"):
-        engine.run_apart(stage_of("forked"), {"pids": str(pids)}, feedback, VENV_PYTHON)
+        engine.run_apart(stage_of("forked"), {"pids": str(pids)}, feedback, python=VENV_PYTHON)
     thread.join()
     assert all_gone(started(pids))
 
@@ -307,7 +309,7 @@ def test_an_interpreter_that_cannot_be_started_is_named(engine, feedback, tmp_pa
     script.write_text("not a program")
     script.chmod(0o755)
     with pytest.raises(QgsProcessingException, match="cannot be started.*choose another"):
-        engine.run_apart(stage_of("fine"), {}, feedback, str(script))
+        engine.run_apart(stage_of("fine"), {}, feedback, python=str(script))
 
 
 def test_the_interpreter_is_the_setting_then_the_variable_then_the_venv_then_qgis_own(engine, tmp_path, monkeypatch):

@@ -77,7 +77,7 @@ def test_the_terrain_model_takes_the_dem_or_finds_its_surface(given, model, surf
         ("pipeline", {"order": 9}, "ORDER is 9: it must be a whole number between 2 and 5."),
         ("pipeline", {"order": 2.5}, "a whole number"),
         ("pipeline", {"scene": "s.json"}, "not an option of this stage"),
-        ("pipeline", {"output": ""}, "OUTPUT is '': it must be the path of a file or folder."),
+        ("pipeline", {"output": ""}, "OUTPUT is empty: it must be the path of a file or folder."),
         ("pipeline", {"resolution": float("nan")}, "between 0.01 and 1000 m, or 0 for automatic"),
         ("pipeline", {"geometric": "yes"}, "GEOMETRIC is 'yes': it must be true or false."),
         ("pipeline", {"workers": True}, "WORKERS is True"),
@@ -86,7 +86,7 @@ def test_the_terrain_model_takes_the_dem_or_finds_its_surface(given, model, surf
         ("dsmfuse", {"scene": "s.json", "output": "d.tif", "cloud": "c.xyz"}, "must end with .laz, .las or .ply"),
         ("comparedsm", {"dsm": "a", "reference": "b", "thresholds": [1, 0]}, "THRESHOLDS"),
         ("checkgcps", {"gcps": "p.csv"}, "there is nothing to check"),
-        ("sampledata", {}, "FOLDER is None: it must be given."),
+        ("sampledata", {}, "FOLDER is empty: it must be given."),
     ),
 )
 def test_wrong_values_are_one_sentence(stage, wrong, words):

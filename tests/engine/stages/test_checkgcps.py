@@ -404,7 +404,7 @@ def fails(kind, told, *words, **options):
 
 
 def test_what_cannot_be_checked_is_shortage_as_error(urban, scene, exact, points, tmp_path, told):
-    fails(OptionError, told, "SCENE is None", "or DSM, or both", gcps=exact)
+    fails(OptionError, told, "SCENE is empty", "or DSM, or both", gcps=exact)
     fails(OptionError, told, "GCPS", gcps="", dsm=urban.truth)
     fails(OptionError, told, "GCP_DATUM is 'sea'", gcps=exact, dsm=urban.truth, gcp_datum="sea")
     fails(SceneError, told, "gone.json", gcps=exact, scene=str(tmp_path / "gone.json"))
