@@ -5,28 +5,36 @@ from __future__ import annotations
 import importlib
 import os
 from types import ModuleType
-from typing import NamedTuple, Optional
+from typing import TYPE_CHECKING, Optional
 
 from qgis.core import QgsFileDownloader
 from qgis.gui import QgisInterface
 from qgis.PyQt.QtCore import QCoreApplication, QEvent, QUrl
-from qgis.PyQt.QtWidgets import QDialog, QGridLayout, QLabel, QProgressBar, QPushButton
+from qgis.PyQt.QtWidgets import (
+    QDialog,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QLineEdit,
+    QProgressBar,
+    QPushButton,
+    QScrollArea,
+    QVBoxLayout,
+    QWidget,
+)
 
 from ..processing_provider.language import said
 
+if TYPE_CHECKING:
+    from ..repm_qgis.geometry.geoids import GeoidGrid
+
 ENDPOINT = "https://cdn.proj.org"  # as in PROJ, whose own variable PROJ_NETWORK_ENDPOINT takes its place here too
+_SIZES_MB = {"us_nga_egm08_25.tif": 77, "us_nga_egm96_15.tif": 3, "us_noaa_g2018u0.tif": 21}  # PROJ states none
+_AREA = 90  # characters of a grid's area
 
 
 def _tr(text: str) -> str:
     return QCoreApplication.translate("GeoidGridsDialog", text)
-
-
-class Grid(NamedTuple):
-    """A file of PROJ's network, what it is for, and about how large it is, MB."""
-
-    name: str
-    use: str
-    size_mb: int
 
 
 def _datadir() -> ModuleType:
@@ -37,6 +45,10 @@ def _datadir() -> ModuleType:
 def user_folder() -> str:
     """The folder of the user's own grids; PROJ looks there without a restart."""
     return str(_datadir().get_user_data_dir(create=True))
+
+
+def _proj_version() -> str:
+    return str(importlib.import_module("pyproj").proj_version_str)
 
 
 def is_there(name: str) -> bool:
@@ -52,16 +64,16 @@ def address(name: str) -> QUrl:
 
 
 class GeoidGridsDialog(QDialog):
-    """One line for each grid: what it is for, and a button that fetches it; QGIS's own proxy is used."""
+    """One line for each grid of the datums that dialogs offer, and of any other that is looked up: what it is for, and
+    a button that fetches it; QGIS's own proxy is used."""
 
     def __init__(self, iface: QgisInterface) -> None:
         super().__init__(iface.mainWindow())
         self.setWindowTitle(_tr("REPM: geoid grids"))
         self._loading: Optional[QgsFileDownloader] = None
         self.buttons: dict[str, QPushButton] = {}
-        layout = QGridLayout(self)
-        layout.setColumnStretch(0, 1)
-        layout.setVerticalSpacing(12)
+        self._ready: set[str] = set()  # under other names, too
+        layout = QVBoxLayout(self)
         intro = QLabel(
             _tr(
                 "Heights above a geoid, as most maps have them, are brought to the ellipsoid with a grid. QGIS ships "
@@ -69,33 +81,80 @@ class GeoidGridsDialog(QDialog):
             )
         )
         intro.setWordWrap(True)
-        layout.addWidget(intro, 0, 0, 1, 2)
-        for row, grid in enumerate(self.grids(), start=1):
-            label = QLabel(f"<b>{grid.name}</b> ({grid.size_mb} MB)<br>{grid.use}")
-            label.setWordWrap(True)
-            label.setMinimumWidth(380)
-            button = QPushButton()
-            button.setAutoDefault(False)
-            button.clicked.connect(lambda _=False, name=grid.name: self.fetch(name))
-            layout.addWidget(label, row, 0)
-            layout.addWidget(button, row, 1)
-            self.buttons[grid.name] = button
+        layout.addWidget(intro)
+        lines = QWidget()
+        self._lines = QGridLayout(lines)
+        self._lines.setColumnStretch(0, 1)
+        self._lines.setVerticalSpacing(12)
+        area = QScrollArea()
+        area.setWidget(lines)
+        area.setWidgetResizable(True)
+        layout.addWidget(area, 1)
+        self.other = QLineEdit()
+        self.other.setPlaceholderText(_tr("Another vertical datum, such as EPSG:5709"))
+        self.look_up = QPushButton(_tr("Look up"))
+        self.look_up.setAutoDefault(False)
+        self.look_up.clicked.connect(lambda *_: self.add(self.other.text()))
+        row = QHBoxLayout()
+        row.addWidget(self.other, 1)
+        row.addWidget(self.look_up)
+        layout.addLayout(row)
         self.bar = QProgressBar()
         self.bar.setRange(0, 100)
         self.said = QLabel()
         self.said.setWordWrap(True)
-        layout.addWidget(self.bar, len(self.buttons) + 1, 0, 1, 2)
-        layout.addWidget(self.said, len(self.buttons) + 2, 0, 1, 2)
+        layout.addWidget(self.bar)
+        layout.addWidget(self.said)
+        self.resize(640, 560)
+        self._add_listed()
         self.refresh()
 
-    @staticmethod
-    def grids() -> list[Grid]:
-        """The grids that DSMs and references need most."""
-        return [
-            Grid("us_nga_egm08_25.tif", _tr("EGM2008: Copernicus DEM, most vendors' heights above sea level"), 77),
-            Grid("us_nga_egm96_15.tif", _tr("EGM96: SRTM, older products"), 3),
-            Grid("us_noaa_g2018u0.tif", _tr("NAVD88 (GEOID18): lidar of the contiguous United States"), 21),
-        ]
+    def _add_listed(self) -> None:
+        from ..repm_qgis.geometry.geoids import geoid_grids
+        from ..repm_qgis.geometry.vertical import LISTED
+
+        uses = {
+            "EGM2008": _tr("Copernicus DEM, most vendors' heights above sea level"),
+            "EGM96": _tr("SRTM, older products"),
+        }
+        for datum in LISTED:
+            for grid in geoid_grids(datum):
+                self._add_line(grid, uses.get(datum, ""))
+
+    def add(self, datum: str) -> None:
+        """Add the grids of a vertical datum that the user names."""
+        from ..repm_qgis.contracts.errors import RepmError
+        from ..repm_qgis.geometry.geoids import geoid_grids
+
+        try:
+            grids = geoid_grids(datum)
+        except RepmError as error:
+            return self._say(said(str(error)))
+        for grid in grids:
+            if grid.name not in self.buttons:
+                self._add_line(grid)
+        self._say(
+            ", ".join(grid.name for grid in grids)
+            if grids
+            else _tr("PROJ {version} knows no grid for '{datum}'.").format(version=_proj_version(), datum=datum)
+        )
+        self.refresh()
+
+    def _add_line(self, grid: GeoidGrid, use: str = "") -> None:
+        size = f" ({_SIZES_MB[grid.name]} MB)" if grid.name in _SIZES_MB else ""
+        area = use or (grid.area if len(grid.area) <= _AREA else f"{grid.area[:_AREA].rsplit(' ', 1)[0]} …")
+        label = QLabel(f"<b>{grid.datum}</b>: {grid.name}{size}<br>{area}")
+        label.setWordWrap(True)
+        label.setMinimumWidth(380)
+        button = QPushButton()
+        button.setAutoDefault(False)
+        button.clicked.connect(lambda _=False, name=grid.name: self.fetch(name))
+        row = self._lines.rowCount()
+        self._lines.addWidget(label, row, 0)
+        self._lines.addWidget(button, row, 1)
+        self.buttons[grid.name] = button
+        if grid.installed:
+            self._ready.add(grid.name)
 
     def showEvent(self, event: QEvent) -> None:
         self.refresh()
@@ -104,7 +163,7 @@ class GeoidGridsDialog(QDialog):
     def refresh(self) -> None:
         """Show for each grid whether it is installed."""
         for name, button in self.buttons.items():
-            there = is_there(name)
+            there = name in self._ready or is_there(name)
             button.setText(_tr("Installed") if there else _tr("Fetch"))
             button.setEnabled(not there and self._loading is None)
 
@@ -141,9 +200,7 @@ class GeoidGridsDialog(QDialog):
         self._ended(f"{'; '.join(errors).rstrip('.')}. {advice}")
 
     def _say(self, text: str) -> None:
-        """Show a sentence; the window grows for its lines, which would take those of the grids."""
         self.said.setText(text)
-        self.resize(self.width(), max(self.height(), self.layout().totalHeightForWidth(self.width())))
 
     def _ended(self, error: str, name: str = "") -> None:
         self._loading = None

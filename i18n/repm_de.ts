@@ -662,16 +662,24 @@
         <translation>Höhen über einem Geoid, wie die meisten Karten sie haben, werden mit einem Gitter auf das Ellipsoid bezogen. QGIS bringt nur wenige mit. Sie werden aus dem Netz von PROJ in Ihr Profil geholt und sind sofort nutzbar.</translation>
     </message>
     <message>
-        <source>EGM2008: Copernicus DEM, most vendors' heights above sea level</source>
-        <translation>EGM2008: Copernicus DEM, Höhen über dem Meer der meisten Anbieter</translation>
+        <source>Another vertical datum, such as EPSG:5709</source>
+        <translation>Ein anderer Höhenbezug, etwa EPSG:5709</translation>
     </message>
     <message>
-        <source>EGM96: SRTM, older products</source>
-        <translation>EGM96: SRTM, ältere Produkte</translation>
+        <source>Look up</source>
+        <translation>Nachschlagen</translation>
     </message>
     <message>
-        <source>NAVD88 (GEOID18): lidar of the contiguous United States</source>
-        <translation>NAVD88 (GEOID18): Lidar der zusammenhängenden Vereinigten Staaten</translation>
+        <source>Copernicus DEM, most vendors' heights above sea level</source>
+        <translation>Copernicus-DEM, bei den meisten Anbietern die Höhen über dem Meeresspiegel</translation>
+    </message>
+    <message>
+        <source>SRTM, older products</source>
+        <translation>SRTM, ältere Produkte</translation>
+    </message>
+    <message>
+        <source>PROJ {version} knows no grid for '{datum}'.</source>
+        <translation>PROJ {version} kennt kein Gitter für „{datum}“.</translation>
     </message>
     <message>
         <source>Installed</source>

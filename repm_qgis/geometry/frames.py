@@ -198,14 +198,15 @@ def _operations(
 
 
 def install_grid(missing: Sequence[str]) -> str:
-    """How to give PROJ one of the grids that it lacks: "put ... into the folder ...".
+    """How to give PROJ one of the grids that it lacks: "fetch it in QGIS (...), or put ... into the folder ...".
 
     PROJ looks into that folder of the user's on every system, needs no administrator for it and no restart. Debian's
     package proj-data has few grids: EGM2008 is not among them.
     """
     name = next((name for name in missing if name.endswith(".tif")), missing[0])
     folder = pyproj.datadir.get_user_data_dir()  # type: ignore[attr-defined,unused-ignore]
-    return f"put https://cdn.proj.org/{name} into the folder '{folder}'"
+    by_hand = f"put https://cdn.proj.org/{name} into the folder '{folder}'"
+    return f"fetch it in QGIS (Plugins > REPM > Geoid grids...), or {by_hand}"
 
 
 @lru_cache(maxsize=32)

@@ -37,6 +37,12 @@ def look_at_windows():
     menu._panel.close()
     installer.close()
     dialog = menu.geoid_grids()
+    dialog.other.setText("EPSG:5709")
+    dialog.look_up.click()
+    FOUND["looked up"] = dialog.said.text()
+    dialog.other.setText("EPSG:4326")
+    dialog.look_up.click()
+    FOUND["no datum"] = dialog.said.text()
     FOUND["grids"] = {name: button.text() for name, button in dialog.buttons.items()}
     dialog.buttons["us_nga_egm08_25.tif"].click()
     QTimer.singleShot(3000, lambda: look_at_grids(dialog))

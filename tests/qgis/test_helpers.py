@@ -49,6 +49,9 @@ def test_grids_are_fetched_a_batch_ends_well_loading_is_quiet(sample, desktop_st
     found = desktop_start("drive_helpers.py", {"rows": rows, "folder_of_grids": str(grids)}, settings=night)
     assert not [text for text in found["log"] if "uplicate" in text], found["log"]
     assert found["grids"]["us_nga_egm08_25.tif"] == "Fetch" == found["grids"]["us_noaa_g2018u0.tif"]
+    assert {"fr_ign_RAF18.tif", "uk_os_OSGM15_GB.tif"} < set(found["grids"])  # of the datums that dialogs offer
+    assert found["looked up"].startswith("nl_") and found["looked up"] in found["grids"]
+    assert "is not a vertical CRS" in found["no datum"]
     assert found["said"].startswith("us_nga_egm08_25.tif is installed")
     assert found["fetched"]["us_nga_egm08_25.tif"] == "Installed" and os.path.exists(grids / "us_nga_egm08_25.tif")
     if found["grids"]["us_nga_egm96_15.tif"] == "Fetch":  # the server does not have it

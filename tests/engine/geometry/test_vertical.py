@@ -54,7 +54,7 @@ def test_a_grid_that_is_not_there_is_named():
         pytest.skip("PROJ's EGM2008 grid is installed here")
     datum = HeightDatum.of("EGM2008")
     with pytest.raises(
-        MissingPackageError, match=r"EGM2008 height.*us_nga_egm08_25\.tif.*not installed: put .*, or set VERTICAL"
+        MissingPackageError, match=r"EGM2008 height.*us_nga_egm08_25\.tif.*not installed: .* put .*, or set VERTICAL"
     ):
         datum.undulation(UTM, PLACES)
     with pytest.raises(MissingPackageError, match="us_nga_egm08_25"):
