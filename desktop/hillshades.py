@@ -33,6 +33,12 @@ _OF = "repm/shaded"
 """The property of a hillshade's node that names the DSM's layer. Until 2026-11 that was a layer of the project."""
 
 
+def shade_of(layer: QgsMapLayer) -> list[QgsMapLayer]:
+    """The hillshade that lies on a DSM now: one, or none."""
+    nodes = QgsProject.instance().layerTreeRoot().findLayers()
+    return [each.layer() for each in nodes if each.customProperty(_OF) == layer.id() and each.layer() is not None]
+
+
 def _wanted(node: QgsLayerTreeLayer) -> bool:
     return str(node.customProperty(HILLSHADE)) == "1"
 

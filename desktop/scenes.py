@@ -31,7 +31,7 @@ from qgis.core import (
     QgsVectorLayer,
 )
 from qgis.gui import QgisInterface, QgsDockWidget
-from qgis.PyQt.QtCore import QLocale, QPoint, QSize, Qt, QUrl, pyqtSignal
+from qgis.PyQt.QtCore import QCoreApplication, QLocale, QPoint, QSize, Qt, QUrl, pyqtSignal
 from qgis.PyQt.QtGui import QDesktopServices, QIcon, QImage, QPalette, QPixmap
 from qgis.PyQt.QtWidgets import (
     QApplication,
@@ -55,7 +55,7 @@ from ..processing_provider.parameters import tr
 from ..processing_provider.values import command_line, layer_path
 from ..repm_qgis.runtime.translation import written_in
 from .control_points import ControlPointsDock
-from .next_step import STEPS, bring_out, layer_of
+from .next_step import STEPS, bring_out, layer_of, push_message
 
 if TYPE_CHECKING:  # the engine is imported when it is needed
     from ..repm_qgis.workspaces import ImageFacts, ProductFacts, RunFacts, Value, Workspace
@@ -432,6 +432,7 @@ class ScenesDock(QgsDockWidget):
             (self.tr("Terrain (DTM)…"), opened("dtm"), bool(dsm)),
             (self.tr("Buildings…"), opened("buildings"), bool(dsm)),
             (self.tr("Page for the browser (3-D)…"), opened("viewer"), bool(dsm)),
+            (self.tr("Page for the client (PDF)"), lambda: self.make_page(found, surface), bool(dsm)),
             (self.tr("Edit the DSM…"), lambda: self.edit(found.folder, surface), bool(dsm)),
             (self.tr("Measure control points…"), lambda: self.measure(found), any(e.there for e in found.images)),
         ]
@@ -534,6 +535,27 @@ class ScenesDock(QgsDockWidget):
         if layer is not None and STEPS.edit_dsm is not None:
             self._iface.setActiveLayer(layer)
             STEPS.edit_dsm()
+
+    def make_page(self, found: Workspace, surface: Optional[ProductFacts]) -> None:
+        """Make a print layout of a DSM, and its PDF beside the DSM; a message opens either."""
+        from .client_page import make_page, page_path, write_pdf
+
+        dsm = self.put_on_map(surface, found.folder) if surface is not None else None
+        if surface is None or dsm is None:
+            return
+        ortho = found.product("dsmfuse", "ortho")
+        drawn = (layer_of(ortho.path) or self._add_layer(ortho, found.folder)) if ortho is not None else None
+        QCoreApplication.processEvents()  # hillshades are made once QGIS is at rest
+        run = next((each for each in found.runs if each.verdict), None)
+        layout, path = make_page(found, run, dsm, drawn), page_path(surface.path)
+        if not write_pdf(layout, path):
+            text = self.tr("The page could not be written to '{path}': check the folder.").format(path=path)
+            self._iface.messageBar().pushWarning("REPM", text)
+            return
+        edit = (self.tr("Edit the page"), lambda: self._iface.openLayoutDesigner(layout))
+        show = (self.tr("Open the PDF"), lambda: _show_file(path))
+        text = self.tr("The page is '{name}'.").format(name=os.path.basename(path))
+        push_message(self._iface.messageBar(), text, [show, edit])
 
     def measure(self, found: Workspace) -> None:
         """Measure control points in the images of a scene."""

@@ -1017,6 +1017,58 @@
         <source>Parameters</source>
         <translation>Parameter</translation>
     </message>
+    <message>
+        <source>Digital surface model from satellite images</source>
+        <translation>Digitales Oberflächenmodell aus Satellitenbildern</translation>
+    </message>
+    <message>
+        <source>Orthophoto</source>
+        <translation>Orthophoto</translation>
+    </message>
+    <message>
+        <source>Images: their providers. Surface model: REPM {version}.</source>
+        <translation>Bilder: ihre Anbieter. Oberflächenmodell: REPM {version}.</translation>
+    </message>
+    <message>
+        <source>date unknown</source>
+        <translation>Datum unbekannt</translation>
+    </message>
+    <message>
+        <source>Images</source>
+        <translation>Bilder</translation>
+    </message>
+    <message>
+        <source>Cells</source>
+        <translation>Zellen</translation>
+    </message>
+    <message>
+        <source>Extent</source>
+        <translation>Ausdehnung</translation>
+    </message>
+    <message>
+        <source>CRS</source>
+        <translation>KBS</translation>
+    </message>
+    <message>
+        <source>Heights above</source>
+        <translation>Höhen über</translation>
+    </message>
+    <message>
+        <source>Position</source>
+        <translation>Lage</translation>
+    </message>
+    <message>
+        <source>by control or a reference</source>
+        <translation>nach Passpunkten oder einer Referenz</translation>
+    </message>
+    <message>
+        <source>as the images' RPCs have it</source>
+        <translation>nach den RPC der Bilder</translation>
+    </message>
+    <message>
+        <source>Heights</source>
+        <translation>Höhen</translation>
+    </message>
 </context>
 <context>
     <name>RepmInstall</name>
@@ -2693,6 +2745,10 @@
         <translation>Seite für den Browser (3-D)…</translation>
     </message>
     <message>
+        <source>Page for the client (PDF)</source>
+        <translation>Seite für den Kunden (PDF)</translation>
+    </message>
+    <message>
         <source>Edit the DSM…</source>
         <translation>DOM bearbeiten…</translation>
     </message>
@@ -2707,6 +2763,22 @@
     <message>
         <source>The command is in the clipboard.</source>
         <translation>Der Befehl ist in der Zwischenablage.</translation>
+    </message>
+    <message>
+        <source>The page could not be written to '{path}': check the folder.</source>
+        <translation>Die Seite konnte nicht nach „{path}“ geschrieben werden: den Ordner prüfen.</translation>
+    </message>
+    <message>
+        <source>Edit the page</source>
+        <translation>Seite bearbeiten</translation>
+    </message>
+    <message>
+        <source>Open the PDF</source>
+        <translation>PDF öffnen</translation>
+    </message>
+    <message>
+        <source>The page is '{name}'.</source>
+        <translation>Die Seite heißt „{name}“.</translation>
     </message>
     <message>
         <source>These files are removed from the disk, and cannot be restored:</source>

@@ -5,7 +5,7 @@ import shutil
 import subprocess
 import sys
 
-from qgis.core import QgsProject, QgsSettings
+from qgis.core import QgsLayoutExporter, QgsProject, QgsSettings
 from qgis.PyQt import sip
 from qgis.PyQt.QtCore import Qt, QTimer
 from qgis.PyQt.QtWidgets import QApplication, QFileDialog, QMenu, QMessageBox
@@ -114,9 +114,23 @@ def photograph():
     picture(menu, "menu.png")
     menu.close()
     picture(DOCK[0], "dock.png")
+    make_page()
     FOUND["copied"] = action("Copy the command", item("Runs").child(0)) and QApplication.clipboard().text()
     action("Run again", item("Runs").child(0))
     QTimer.singleShot(1500, look_at_dialog)
+
+
+def make_page():
+    """The page for the client: its PDF, its texts, and what its maps show."""
+    action("Page for the client", item("DSM"))
+    (layout,) = QgsProject.instance().layoutManager().printLayouts()
+    items = {each.id(): each for each in layout.items() if hasattr(each, "id") and each.id()}
+    FOUND["page"] = {name: each.text() for name, each in items.items() if hasattr(each, "text")}
+    FOUND["maps"] = {name: [layer.name() for layer in items[name].layers()] for name in ("map", "inset")}
+    FOUND["layout"] = layout.name()
+    QgsLayoutExporter(layout).exportToImage(
+        os.path.join(PLAN["folder"], "page.png"), QgsLayoutExporter.ImageExportSettings()
+    )
 
 
 @guarded

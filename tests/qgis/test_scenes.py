@@ -99,6 +99,16 @@ def test_the_panel_shows_what_is_there_and_does_what_it_says(desktop_start, made
     assert (again["RESOLUTION"], again["FILL"], again["OUTPUT"]) == (1.0, "all", str(folder / "dsm.tif"))
     assert "RESOLUTION=1.0" in found["copied"] and f"'WORKSPACE={folder}'" in found["copied"]
     assert found["terrain"] == str(folder / "dsm.tif")
+    with open(folder / "dsm_page.pdf", "rb") as stream:
+        assert stream.read(5) == b"%PDF-"
+    page = found["page"]
+    assert page["title"] == found["layout"] == "old town" and f"Images: {count}" in page["figures"]
+    assert (
+        "Cells: 1 m" in page["figures"] and "EPSG:32631" in page["figures"] and "as the images' RPCs" in page["figures"]
+    )
+    assert page["verdict"].split(".")[0] in run  # what the panel and the report say
+    assert [name.split(" ")[0] for name in found["maps"]["map"]] == ["Hillshade", "DSM"]
+    assert [name.split(" ")[0] for name in found["maps"]["inset"]] == ["Orthophoto"]
     assert found["relinked"] and found["kept"] == [str(folder), str(moved)]
     assert [text for depth, text, _, _ in found["second"] if depth == 0] == ["old town", "river"]
     assert "ortho.tif" in found["asked"][0] and "dsm.tif" not in found["asked"][0]
