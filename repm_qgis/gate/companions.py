@@ -215,12 +215,19 @@ def _displacement(
     return [Finding("terrain-displaced", f"{text}: check the CRS and the place of both.", "doubt")] if by else []
 
 
-def picture_findings(dsm: str, picture: str, share: float, parameters: GateParameters = GATE) -> List[Finding]:
-    """What is to be known of a picture that is draped over a DSM, of whose heights it shows this share."""
-    if share >= 1.0 - parameters.most_uncovered:
-        return []
-    text = f"The picture '{picture}' shows {as_percent(share)} of the heights of '{dsm}'"
-    return [Finding("picture-partial", f"{text}: the rest has no colours.")]
+def picture_findings(
+    dsm: str, picture: str, share: float, bands: Sequence[np.ndarray], parameters: GateParameters = GATE
+) -> List[Finding]:
+    """What is to be known of a picture that is draped over a DSM, of whose heights it shows this share; ``bands`` are
+    its values there."""
+    found = []
+    if share < 1.0 - parameters.most_uncovered:
+        text = f"The picture '{picture}' shows {as_percent(share)} of the heights of '{dsm}'"
+        found.append(Finding("picture-partial", f"{text}: the rest has no colours."))
+    if share and all(np.ptp(np.percentile(band, (1.0, 99.0))) == 0.0 for band in bands):
+        text = f"The picture '{picture}' has one colour nearly everywhere"
+        found.append(Finding("picture-blank", f"{text}: check that it is the orthophoto of this DSM."))
+    return found
 
 
 def draped_findings(
@@ -231,16 +238,13 @@ def draped_findings(
     and whether differences are heights."""
     both = np.isfinite(heights) & np.isfinite(bands[0])
     share = float(both.sum()) / max(int(np.isfinite(heights).sum()), 1)
-    found = picture_findings(dsm, path, share, parameters) if kind == "ortho" else []
-    if kind != "ortho" and share < _LEAST_DRAPED:
+    if kind == "ortho":
+        return picture_findings(dsm, path, share, [band[both] for band in bands], parameters)
+    found: List[Finding] = []
+    if share < _LEAST_DRAPED:
         text = f"The raster '{path}' has values for {as_percent(share)} of the heights of '{dsm}'"
         found = [Finding("raster-partial", f"{text}: the rest has no colours.")]
-    if not both.any():
-        return found
-    if kind == "ortho" and all(np.ptp(np.percentile(band[both], (1.0, 99.0))) == 0.0 for band in bands):
-        text = f"The picture '{path}' has one colour nearly everywhere"
-        found.append(Finding("picture-blank", f"{text}: check that it is the orthophoto of this DSM."))
-    if kind == "dsm_error":
+    if both.any() and kind == "dsm_error":
         own, away = heights[both], bands[0][both] - heights[both]
         if nmad(away) < nmad(own) / 2 and abs(np.median(away)) < abs(np.median(own)) / 10:
             text = f"The differences in '{path}' are nearly the heights of '{dsm}'"
@@ -248,19 +252,21 @@ def draped_findings(
     return found
 
 
-def share_under(picture: gdal.Dataset, dsm: gdal.Dataset) -> float:
-    """The share of a DSM's heights for which a picture has a value, by some rows; raises OverlapError where it lies
-    elsewhere."""
+def shown_under(picture: gdal.Dataset, dsm: gdal.Dataset) -> Tuple[float, np.ndarray]:
+    """The share of a DSM's heights for which a picture has a value, by some rows, and the (N,) values of its first
+    band there; raises OverlapError where it lies elsewhere."""
     grid, other = Grid.of(dsm), Grid.of(picture)
     outer, inner = bounds_on(other, grid) if other.wkt and grid.wkt else other.bounds, grid.bounds
     if not all(min(outer[i + 2], inner[i + 2]) > max(outer[i], inner[i]) for i in (0, 1)):
         raise OverlapError(
             f"The orthophoto '{other.path}' does not lie over the DSM '{grid.path}': choose the one of the same place."
         )
-    warper, shown, known = HeightWarper(picture, grid, heights=False), 0, 0
+    warper, shown, known = HeightWarper(picture, grid, heights=False), [], 0
     for row in np.unique(np.linspace(0, grid.size[1] - 1, min(grid.size[1], _FEW_ROWS)).astype(int)):
         window = Window(0, int(row), grid.size[0], 1)
         has = np.isfinite(read_heights(dsm, window))
         known += int(has.sum())
-        shown += int((has & np.isfinite(warper.read(grid.window(window)))).sum())
-    return shown / max(known, 1)
+        values = warper.read(grid.window(window))
+        shown.append(values[has & np.isfinite(values)])
+    values = np.concatenate(shown)
+    return len(values) / max(known, 1), values

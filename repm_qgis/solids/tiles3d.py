@@ -21,7 +21,7 @@ from ..contracts.arrays import ByteImage, FloatArray, FloatImage, IntArray, Wind
 from ..contracts.documents import JsonObject
 from ..contracts.errors import EmptyResultError
 from ..evaluation.grids import Grid, cell_sides, require_place
-from ..gate.companions import picture_findings, share_under
+from ..gate.companions import picture_findings, shown_under
 from ..geometry.frames import on_earth
 from ..geometry.vertical import TAG
 from ..imagery.heights import read_heights
@@ -84,7 +84,8 @@ def write_tiles3d(
         dataset = stack.enter_context(opened(dsm))
         paint = stack.enter_context(opened_paint(ortho, parameters.painting)) if ortho else None
         if ortho and paint is not None:
-            warn_all(progress, picture_findings(dsm, ortho, share_under(paint.dataset, dataset)))
+            share, values = shown_under(paint.dataset, dataset)
+            warn_all(progress, picture_findings(dsm, ortho, share, [values]))
         whole = stack.enter_context(whole_folder(folder))
         (whole / "tiles").mkdir()
         tree = _Tree(dataset, whole, paint, progress, parameters)

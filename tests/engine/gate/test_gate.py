@@ -201,8 +201,8 @@ def test_buildings_above_a_terrain_of_another_datum_are_not_good(dsm, tmp_path, 
 
 
 def test_a_picture_that_covers_a_part_is_named():
-    assert picture_findings("dsm.tif", "ortho.tif", 0.995) == []
-    (finding,) = picture_findings("dsm.tif", "ortho.tif", 0.5)
+    assert picture_findings("dsm.tif", "ortho.tif", 0.995, [np.arange(9.0)]) == []
+    (finding,) = picture_findings("dsm.tif", "ortho.tif", 0.5, [np.arange(9.0)])
     assert finding == "The picture 'ortho.tif' shows 50.0 % of the heights of 'dsm.tif': the rest has no colours."
 
 

@@ -291,6 +291,20 @@ def test_an_orthophoto_of_another_place_is_refused_and_a_part_is_named(tmp_path,
             assert any("shows 50.0 % of the heights" in text for text in said.warnings)
 
 
+@pytest.mark.parametrize("blank", (False, True))
+def test_an_orthophoto_of_one_colour_is_named(tmp_path, told, blank):
+    dsm, ortho = write(tmp_path / "dsm.tif", town()), str(tmp_path / "ortho.tif")
+    raster = gdal.GetDriverByName("GTiff").Create(ortho, COLUMNS, ROWS, 3, gdal.GDT_Byte)
+    raster.SetGeoTransform((WEST, CELL, 0, NORTH, 0, -CELL))
+    raster.SetProjection(gdal.Open(dsm).GetProjection())
+    shades = (np.indices((ROWS, COLUMNS)).sum(0) % 200).astype(np.uint8)
+    for band in (1, 2, 3):
+        raster.GetRasterBand(band).WriteArray(shades if not blank else np.zeros_like(shades))
+    raster, said = None, told()
+    run_stage("tiles3d", {"dsm": dsm, "ortho": ortho, "tiles3d": str(tmp_path / "t")}, said)
+    assert any("has one colour nearly everywhere" in text for text in said.warnings) == blank
+
+
 @pytest.mark.parametrize("shape", ((1, 1), (1, 40), (40, 40)), ids=("one height", "one row", "none"))
 def test_a_dsm_without_a_triangle_is_refused_by_what_it_lacks(tmp_path, told, shape):
     dsm = write(tmp_path / "dsm.tif", np.full(shape, 50.0 if min(shape) == 1 else np.nan))
