@@ -216,7 +216,7 @@ def _displacement(
 
 
 def picture_findings(
-    dsm: str, picture: str, share: float, bands: Sequence[np.ndarray], parameters: GateParameters = GATE
+    dsm: str, picture: str, share: float, bands: Sequence[FloatImage], parameters: GateParameters = GATE
 ) -> List[Finding]:
     """What is to be known of a picture that is draped over a DSM, of whose heights it shows this share; ``bands`` are
     its values there."""
@@ -252,7 +252,7 @@ def draped_findings(
     return found
 
 
-def shown_under(picture: gdal.Dataset, dsm: gdal.Dataset) -> Tuple[float, np.ndarray]:
+def shown_under(picture: gdal.Dataset, dsm: gdal.Dataset) -> Tuple[float, FloatImage]:
     """The share of a DSM's heights for which a picture has a value, by some rows, and the (N,) values of its first
     band there; raises OverlapError where it lies elsewhere."""
     grid, other = Grid.of(dsm), Grid.of(picture)
