@@ -7,39 +7,22 @@ only the list of folders is kept in the settings.
 from __future__ import annotations
 
 import os
-import queue
-import threading
-import time
-from contextlib import suppress
 from datetime import datetime
 from functools import partial
-from typing import TYPE_CHECKING, Callable, Mapping, Optional
+from typing import TYPE_CHECKING, Callable, Optional
 
 from qgis.core import (
     QgsApplication,
-    QgsCoordinateReferenceSystem,
-    QgsCoordinateTransform,
-    QgsCsException,
-    QgsLayerTreeNode,
     QgsMapLayer,
-    QgsMapLayerStyle,
-    QgsProcessingContext,
-    QgsProcessingFeedback,
     QgsProject,
-    QgsRasterLayer,
-    QgsRectangle,
-    QgsVectorLayer,
 )
 from qgis.gui import QgisInterface, QgsDockWidget
-from qgis.PyQt.QtCore import QCoreApplication, QLocale, QPoint, QSize, Qt, QUrl, pyqtSignal
-from qgis.PyQt.QtGui import QDesktopServices, QIcon, QImage, QPalette, QPixmap
+from qgis.PyQt.QtCore import QLocale, QPoint, QSize, Qt, pyqtSignal
+from qgis.PyQt.QtGui import QIcon, QImage, QPalette, QPixmap
 from qgis.PyQt.QtWidgets import (
-    QApplication,
-    QFileDialog,
     QHBoxLayout,
     QLabel,
     QMenu,
-    QMessageBox,
     QPushButton,
     QTreeWidget,
     QTreeWidgetItem,
@@ -47,52 +30,21 @@ from qgis.PyQt.QtWidgets import (
     QWidget,
 )
 
-from ..processing_provider import last_scene, styles
+from ..processing_provider import last_scene
 from ..processing_provider.base import resource
 from ..processing_provider.kept import is_lasting
-from ..processing_provider.language import language, said
+from ..processing_provider.language import said
 from ..processing_provider.parameters import tr
-from ..processing_provider.values import command_line, layer_path
-from ..repm_qgis.runtime.translation import written_in
+from ..processing_provider.values import layer_path
 from .control_points import ControlPointsDock
-from .next_step import STEPS, bring_out, layer_of, push_message
+from .next_step import STEPS
+from .scene_actions import SceneActions, can_show, show_file
+from .scene_reading import THUMBNAIL_PX, Reader, picture_of
 
 if TYPE_CHECKING:  # the engine is imported when it is needed
-    from ..repm_qgis.workspaces import ImageFacts, ProductFacts, RunFacts, Value, Workspace
+    from ..repm_qgis.workspaces import ImageFacts, ProductFacts, RunFacts, Workspace
 
 _FACTS = Qt.ItemDataRole.UserRole
-_THUMBNAIL_PX = 64
-_THUMBNAIL_S = 3.0  # until an image without overviews is given up
-_EDGE = 1.05
-_FILE_LAYERS = ("raster", "points", "polygons")
-
-
-class _Reader(threading.Thread):
-    """Reads workspaces and pictures beside QGIS's thread, in the order in which they are asked for."""
-
-    def __init__(self, give: Callable[[object, object], None]) -> None:
-        super().__init__(daemon=True, name="REPM scenes")
-        self._give, self._asked = give, queue.Queue()  # type: ignore[var-annotated]
-        self.waiting = 0
-        self.start()
-
-    def ask(self, about: object, read: Callable[[], object]) -> None:
-        self.waiting += 1
-        self._asked.put((about, read))
-
-    def stop(self) -> None:
-        self._asked.put(None)
-
-    def run(self) -> None:
-        for about, read in iter(self._asked.get, None):
-            try:
-                result = read()
-            except Exception as error:  # of one workspace; the others are shown
-                result = error
-            try:
-                self._give(about, result)
-            except RuntimeError:  # the dock is gone
-                return
 
 
 class ScenesDock(QgsDockWidget):
@@ -104,14 +56,16 @@ class ScenesDock(QgsDockWidget):
         super().__init__(iface.mainWindow())
         self.setObjectName("RepmScenes")
         self.setWindowTitle(self.tr("REPM scenes"))
-        self._iface, self._measure = iface, measure
+        self.act = SceneActions(iface, self, measure)
+        self.act.changed.connect(self._open_and_refresh)
+        self.act.shown.connect(self._follow_map)
         self._folders: list[str] = []
         self._found: dict[str, Workspace] = {}
         self._pictures: dict[str, QIcon] = {}
         self._open: dict[tuple[str, ...], bool] = {}
         self._building = False
         self._ready.connect(self._take)
-        self._reader = _Reader(self._ready.emit)
+        self._reader = Reader(self._ready.emit)
         self._build()
         STEPS.followers.append(self.refresh)
         project = QgsProject.instance()
@@ -126,7 +80,7 @@ class ScenesDock(QgsDockWidget):
         self.tree = QTreeWidget()
         self.tree.setColumnCount(2)
         self.tree.setHeaderLabels([self.tr("Scene"), self.tr("About it")])
-        self.tree.setIconSize(QSize(_THUMBNAIL_PX // 2, _THUMBNAIL_PX // 2))
+        self.tree.setIconSize(QSize(THUMBNAIL_PX // 2, THUMBNAIL_PX // 2))
         self.tree.setColumnWidth(0, 190)
         self.tree.setIndentation(14)
         self.tree.setMinimumWidth(380)
@@ -144,7 +98,7 @@ class ScenesDock(QgsDockWidget):
         self._menu.aboutToShow.connect(lambda: self._fill(self._menu, self.tree.currentItem()))
         self.actions.setMenu(self._menu)
         add, refresh = QPushButton(self.tr("Add a workspace…")), QPushButton(self.tr("Refresh"))
-        add.clicked.connect(lambda *_: self.add_workspace())
+        add.clicked.connect(lambda *_: self.act.add_workspace())
         refresh.clicked.connect(lambda *_: self.refresh())
         row = QHBoxLayout()
         for button in (self.actions, add, refresh):
@@ -174,6 +128,11 @@ class ScenesDock(QgsDockWidget):
 
     def is_reading(self) -> bool:
         return self._reader.waiting > 0
+
+    def _open_and_refresh(self, folder: str) -> None:
+        if folder:
+            self._open[folder,] = True
+        self.refresh()
 
     def refresh(self, *_: object) -> None:
         """Read all workspaces again: those of the project's layers, and those of late."""
@@ -327,7 +286,7 @@ class ScenesDock(QgsDockWidget):
         item.setData(0, _FACTS, ("product", folder, made))
         if not made.there:
             self._grey(item)
-        elif _can_show(made):
+        elif can_show(made):
             item.setFlags(item.flags() | Qt.ItemFlag.ItemIsUserCheckable)
             item.setCheckState(0, Qt.CheckState.Unchecked)
 
@@ -385,24 +344,24 @@ class ScenesDock(QgsDockWidget):
             action.triggered.connect(lambda *_: act())
 
         if found is None or not os.path.isdir(folder):
-            add(self.tr("Where is it now…"), lambda: self.relink(folder))
-            add(self.tr("Forget this folder"), lambda: self.forget(folder))
+            add(self.tr("Where is it now…"), lambda: self.act.relink(folder))
+            add(self.tr("Forget this folder"), lambda: self.act.forget(folder))
             return
         run = facts[0] if kind == "run" else next((each for each in found.runs if each.options), None)
         made = facts[0] if kind == "product" else None
         if made is not None and made.there:
             if made.path.lower().endswith((".html", ".htm")):
-                add(self.tr("Open in the browser"), lambda: _show_file(made.path))
-            elif _can_show(made):
-                add(self.tr("Zoom to it"), lambda: self.zoom_to_product(made, folder))
-        add(self.tr("Zoom to the scene"), lambda: self.zoom(folder), found.bounds is not None)
+                add(self.tr("Open in the browser"), lambda: show_file(made.path))
+            elif can_show(made):
+                add(self.tr("Zoom to it"), lambda: self.act.zoom_to_product(made, found))
+        add(self.tr("Zoom to the scene"), lambda: self.act.zoom(found), found.bounds is not None)
         report = facts[0].report if kind == "run" else next((each.report for each in found.runs if each.report), "")
-        add(self.tr("Open the report"), lambda: _show_file(report), bool(report))
-        add(self.tr("Show the folder"), lambda: _show_file(folder))
+        add(self.tr("Open the report"), lambda: show_file(report), bool(report))
+        add(self.tr("Show the folder"), lambda: show_file(folder))
         menu.addSeparator()
         options = run.options if run is not None else {}
-        add(self.tr("Run again…"), lambda: self.run_again(options), bool(options))
-        add(self.tr("Copy the command"), lambda: self.copy_command(options), bool(options))
+        add(self.tr("Run again…"), lambda: self.act.run_again(options), bool(options))
+        add(self.tr("Copy the command"), lambda: self.act.copy_command(options), bool(options))
         menu.addSeparator()
         for title, act, enabled in self._next_steps(found, made):
             add(title, act, enabled)
@@ -411,9 +370,9 @@ class ScenesDock(QgsDockWidget):
         removable = [each for each in chosen if each.there and each.removable]
         size = QLocale().formattedDataSize(sum(each.size for each in removable))
         title = self.tr("Remove ({size})…") if made is not None else self.tr("Remove all products ({size})…")
-        add(title.format(size=size), lambda: self.remove(folder, removable), bool(removable and not found.writer))
+        add(title.format(size=size), lambda: self.act.remove(folder, removable), bool(removable and not found.writer))
         if folder in last_scene.workspaces():
-            add(self.tr("Forget this folder"), lambda: self.forget(folder))
+            add(self.tr("Forget this folder"), lambda: self.act.forget(folder))
 
     def _next_steps(
         self, found: Workspace, made: Optional[ProductFacts]
@@ -432,254 +391,26 @@ class ScenesDock(QgsDockWidget):
             (self.tr("Terrain (DTM)…"), opened("dtm"), bool(dsm)),
             (self.tr("Buildings…"), opened("buildings"), bool(dsm)),
             (self.tr("Page for the browser (3-D)…"), opened("viewer"), bool(dsm)),
-            (self.tr("Page for the client (PDF)"), lambda: self.make_page(found, surface), bool(dsm)),
-            (self.tr("Edit the DSM…"), lambda: self.edit(found.folder, surface), bool(dsm)),
-            (self.tr("Measure control points…"), lambda: self.measure(found), any(e.there for e in found.images)),
+            (self.tr("Page for the client (PDF)"), lambda: self.act.make_page(found, surface), bool(dsm)),
+            (self.tr("Edit the DSM…"), lambda: self.act.edit(found, surface), bool(dsm)),
+            (self.tr("Measure control points…"), lambda: self.act.measure(found), any(e.there for e in found.images)),
         ]
 
     def _double_clicked(self, item: QTreeWidgetItem, _: int) -> None:
         kind, folder, *facts = item.data(0, _FACTS)
         if kind == "run" and facts[0].report:
-            _show_file(facts[0].report)
+            show_file(facts[0].report)
         elif kind == "product" and facts[0].there:
-            if _can_show(facts[0]):
-                self.zoom_to_product(facts[0], folder)
+            if can_show(facts[0]):
+                self.act.zoom_to_product(facts[0], self._found[folder])
             elif facts[0].path.lower().endswith((".html", ".htm")):
-                _show_file(facts[0].path)
+                show_file(facts[0].path)
 
     def _ticked(self, item: QTreeWidgetItem, column: int) -> None:
         facts = item.data(0, _FACTS)
         if self._building or column != 0 or not facts or facts[0] != "product":
             return
-        self.put_on_map(facts[2], facts[1], item.checkState(0) == Qt.CheckState.Checked)
-
-    def put_on_map(self, made: ProductFacts, folder: str, shown: bool = True) -> Optional[QgsMapLayer]:
-        """Show a product on the map, or hide it; gives its layer."""
-        layer = layer_of(made.path)
-        if layer is None and shown:
-            layer = self._add_layer(made, folder)
-        node = QgsProject.instance().layerTreeRoot().findLayer(layer.id()) if layer is not None else None
-        if layer is not None and node is not None and shown:
-            bring_out(layer.id())
-            _expand_groups(node)
-        elif node is not None:
-            node.setItemVisibilityChecked(False)
-        self._follow_map()
-        return layer
-
-    def _add_layer(self, made: ProductFacts, folder: str) -> Optional[QgsMapLayer]:
-        from ..repm_qgis.contracts.errors import RepmError
-        from ..repm_qgis.files.untrusted import refusal_of
-        from ..repm_qgis.reports.styles import style_text
-
-        refused = refusal_of(made.path)
-        if refused:
-            self._iface.messageBar().pushWarning("REPM", f"'{made.path}' {said(refused)}")
-            return None
-        kind, path = made.product.style, made.path
-        found = self._found[folder]
-        run = styles.Run(found.title, sorted({each.acquired[:10] for each in found.images if each.acquired}))
-        name = run.name(tr(made.product.layer or made.product.title))
-        # Our style instead of the file beside the product: that of a stranger's workspace may hold code.
-        layer: QgsMapLayer
-        if made.product.form == "raster":
-            layer = QgsRasterLayer(path, name, "gdal", QgsRasterLayer.LayerOptions(False))
-        else:
-            layer = QgsVectorLayer(path, name, "ogr", QgsVectorLayer.LayerOptions(False))
-        if not layer.isValid():
-            self._iface.messageBar().pushWarning("REPM", self.tr("QGIS cannot open '{path}'.").format(path=path))
-            return None
-        context, feedback = QgsProcessingContext(), QgsProcessingFeedback()
-        context.setProject(QgsProject.instance())
-        run.kinds.add(kind)
-        with suppress(RepmError), written_in(language()):  # without a style it is shown all the same
-            QgsMapLayerStyle(style_text(kind, path)).writeToLayer(layer)
-        QgsProject.instance().addMapLayer(layer)
-        styles.LayerStyler.make("", kind, run).postProcessLayer(layer, context, feedback)
-        return layer
-
-    def zoom_to_product(self, made: ProductFacts, folder: str) -> None:
-        layer = self.put_on_map(made, folder)
-        if layer is not None:
-            self._zoom(layer.extent(), layer.crs())
-
-    def zoom(self, folder: str) -> None:
-        """Show the ground of a scene."""
-        found = self._found[folder]
-        if found.bounds is not None:
-            self._zoom(QgsRectangle(*found.bounds), QgsCoordinateReferenceSystem(found.crs))
-
-    def _zoom(self, extent: QgsRectangle, crs: QgsCoordinateReferenceSystem) -> None:
-        canvas = self._iface.mapCanvas()
-        to_map = QgsCoordinateTransform(crs, canvas.mapSettings().destinationCrs(), QgsProject.instance())
-        try:
-            place = to_map.transformBoundingBox(extent)
-        except QgsCsException:
-            return
-        place.scale(_EDGE)
-        canvas.setExtent(place)
-        canvas.refresh()
-
-    def run_again(self, options: Mapping[str, Value]) -> None:
-        """Open the dialog with the options of a run."""
-        from ..repm_qgis.workspaces import safe_inputs
-
-        STEPS.open("pipeline", parameters_of(safe_inputs(options)))
-
-    def copy_command(self, options: Mapping[str, Value]) -> None:
-        QApplication.clipboard().setText(command_line("repm:pipeline", dict(options)))
-        self._iface.messageBar().pushInfo("REPM", self.tr("The command is in the clipboard."))
-
-    def edit(self, folder: str, surface: Optional[ProductFacts]) -> None:
-        layer = self.put_on_map(surface, folder) if surface is not None else None
-        if layer is not None and STEPS.edit_dsm is not None:
-            self._iface.setActiveLayer(layer)
-            STEPS.edit_dsm()
-
-    def make_page(self, found: Workspace, surface: Optional[ProductFacts]) -> None:
-        """Make a print layout of a DSM, and its PDF beside the DSM; a message opens either."""
-        from .client_page import make_page, page_path, write_pdf
-
-        dsm = self.put_on_map(surface, found.folder) if surface is not None else None
-        if surface is None or dsm is None:
-            return
-        ortho = found.product("dsmfuse", "ortho")
-        drawn = (layer_of(ortho.path) or self._add_layer(ortho, found.folder)) if ortho is not None else None
-        QCoreApplication.processEvents()  # hillshades are made once QGIS is at rest
-        run = next((each for each in found.runs if each.verdict), None)
-        layout, path = make_page(found, run, dsm, drawn), page_path(surface.path)
-        if not write_pdf(layout, path):
-            text = self.tr("The page could not be written to '{path}': check the folder.").format(path=path)
-            self._iface.messageBar().pushWarning("REPM", text)
-            return
-        edit = (self.tr("Edit the page"), lambda: self._iface.openLayoutDesigner(layout))
-        show = (self.tr("Open the PDF"), lambda: _show_file(path))
-        text = self.tr("The page is '{name}'.").format(name=os.path.basename(path))
-        push_message(self._iface.messageBar(), text, [show, edit])
-
-    def measure(self, found: Workspace) -> None:
-        """Measure control points in the images of a scene."""
-        dock = self._measure()
-        dock.open_images([each.path for each in found.images if each.there and not each.remote])
-
-    def remove(self, folder: str, products: list[ProductFacts]) -> None:
-        """Remove products from the disk and the map, after a question that names them."""
-        from ..repm_qgis.contracts.errors import RepmError
-        from ..repm_qgis.workspaces import remove_products
-
-        lines = [f"{os.path.basename(each.path)}  ({QLocale().formattedDataSize(each.size)})" for each in products]
-        text = self.tr("These files are removed from the disk, and cannot be restored:") + "\n\n" + "\n".join(lines)
-        buttons = QMessageBox.StandardButton
-        answer = QMessageBox.question(self, self.tr("Remove products"), text, buttons.Yes | buttons.Cancel)
-        if answer != buttons.Yes:
-            return
-        layers = [layer for layer in map(layer_of, (each.path for each in products)) if layer is not None]
-        QgsProject.instance().removeMapLayers([layer.id() for layer in layers])
-        try:
-            remove_products(folder, products)
-        except RepmError as error:
-            self._iface.messageBar().pushWarning("REPM", said(str(error)))
-        self.refresh()
-
-    def add_workspace(self) -> None:
-        """Show a workspace that lies elsewhere, such as one that was received."""
-        self._choose(self.tr("A folder with a scene"), "")
-
-    def relink(self, folder: str) -> None:
-        """Show a workspace at its new place, and its layers with it."""
-        self._choose(self.tr("Where is '{name}' now?").format(name=os.path.basename(folder)), folder)
-
-    def _choose(self, title: str, before: str) -> None:
-        from ..repm_qgis.workspaces import is_workspace
-
-        folder = QFileDialog.getExistingDirectory(self, title, os.path.dirname(before))
-        if not folder:
-            return
-        folder = os.path.abspath(folder)
-        if not is_workspace(folder):
-            text = self.tr("'{folder}' holds no scene of REPM: choose the folder with scene.json.")
-            self._iface.messageBar().pushWarning("REPM", text.format(folder=folder))
-            return
-        last_scene.remember_workspace(folder, before)
-        for layer in QgsProject.instance().mapLayers().values() if before else ():
-            path = layer_path(layer)
-            moved = os.path.join(folder, os.path.relpath(path, before)) if path.startswith(before + os.sep) else ""
-            if moved and os.path.exists(moved) and layer.providerType() in ("gdal", "ogr"):
-                layer.setDataSource(layer.source().replace(path, moved), layer.name(), layer.providerType())
-        self._open[folder,] = True
-        self.refresh()
-
-    def forget(self, folder: str) -> None:
-        """Take a workspace out of the list; its files stay."""
-        last_scene.forget_workspace(folder)
-        self.refresh()
-
-
-def parameters_of(options: Mapping[str, Value]) -> dict[str, object]:
-    """The values of a dialog for the recorded options of a run: texts of commands become numbers and switches."""
-    algorithm = QgsApplication.processingRegistry().algorithmById("repm:pipeline")
-    found: dict[str, object] = {}
-    value: object
-    for name, value in options.items():
-        definition = algorithm.parameterDefinition(name.upper())
-        if definition is None:
-            continue
-        kind = definition.type()
-        if kind == "boolean":
-            value = str(value).lower() in ("true", "1", "yes")
-        elif kind == "number":
-            try:
-                number = float(str(value))
-            except (TypeError, ValueError):
-                continue
-            value = int(number) if number.is_integer() else number
-        elif kind == "enum":
-            if value not in definition.options():
-                continue
-        elif kind == "multilayer":
-            value = list(value) if isinstance(value, tuple) else [value]
-        elif isinstance(value, tuple):
-            value = ",".join(value)
-        found[name.upper()] = value
-    return found
-
-
-def picture_of(path: str) -> Optional[QImage]:
-    """A small picture of an image; None where it takes too long, or cannot be read. Rows are read one by one: a file
-    without overviews is read whole otherwise."""
-    import numpy as np
-
-    from ..repm_qgis.contracts.errors import RepmError
-    from ..repm_qgis.imagery.raster import opened
-
-    end = time.monotonic() + _THUMBNAIL_S
-    try:
-        with opened(path) as dataset:
-            band, width, height = dataset.GetRasterBand(1), dataset.RasterXSize, dataset.RasterYSize
-            share = _THUMBNAIL_PX / max(width, height)
-            size = max(1, round(width * share)), max(1, round(height * share))
-            if band.GetOverviewCount() or width * height <= 4_000_000:
-                grey = band.ReadAsArray(buf_xsize=size[0], buf_ysize=size[1])
-            else:
-                rows = []
-                for row in range(size[1]):
-                    rows.append(band.ReadAsArray(0, int((row + 0.5) / share), width, 1, buf_xsize=size[0], buf_ysize=1))
-                    if time.monotonic() > end:
-                        return None
-                grey = np.concatenate(rows)
-    except (RepmError, RuntimeError):
-        return None
-    if grey is None:
-        return None
-    values = grey.astype(float)
-    low, high = np.percentile(values, (2, 98))
-    shown = np.ascontiguousarray(np.clip((values - low) / max(high - low, 1e-9) * 255, 0, 255).astype(np.uint8))
-    return QImage(shown.tobytes(), size[0], size[1], size[0], QImage.Format.Format_Grayscale8).copy()
-
-
-def _can_show(made: ProductFacts) -> bool:
-    """Whether QGIS opens a product by its file."""
-    return bool(made.product.style) and made.product.form in _FILE_LAYERS
+        self.act.put_on_map(facts[2], self._found[facts[1]], item.checkState(0) == Qt.CheckState.Checked)
 
 
 def _layers_by_path() -> dict[str, QgsMapLayer]:
@@ -692,18 +423,6 @@ def _real(path: str) -> str:
     return real_path(path) if path else ""
 
 
-def _expand_groups(node: QgsLayerTreeNode) -> None:
-    """Have a layer in sight in the tree of layers."""
-    group = node.parent()
-    while group is not None:
-        group.setExpanded(True)
-        group = group.parent()
-
-
 def _small(icon: QIcon) -> QIcon:
     """An icon beside thumbnails that are larger than it."""
     return QIcon(icon.pixmap(QSize(16, 16)))
-
-
-def _show_file(path: str) -> None:
-    QDesktopServices.openUrl(QUrl.fromLocalFile(path))

@@ -2607,6 +2607,53 @@
     </message>
 </context>
 <context>
+    <name>SceneActions</name>
+    <message>
+        <source>QGIS cannot open '{path}'.</source>
+        <translation>QGIS kann „{path}“ nicht öffnen.</translation>
+    </message>
+    <message>
+        <source>The command is in the clipboard.</source>
+        <translation>Der Befehl ist in der Zwischenablage.</translation>
+    </message>
+    <message>
+        <source>The page could not be written to '{path}': check the folder.</source>
+        <translation>Die Seite konnte nicht nach „{path}“ geschrieben werden: den Ordner prüfen.</translation>
+    </message>
+    <message>
+        <source>Edit the page</source>
+        <translation>Seite bearbeiten</translation>
+    </message>
+    <message>
+        <source>Open the PDF</source>
+        <translation>PDF öffnen</translation>
+    </message>
+    <message>
+        <source>The page is '{name}'.</source>
+        <translation>Die Seite heißt „{name}“.</translation>
+    </message>
+    <message>
+        <source>These files are removed from the disk, and cannot be restored:</source>
+        <translation>Diese Dateien werden vom Datenträger entfernt und sind nicht wiederherzustellen:</translation>
+    </message>
+    <message>
+        <source>Remove products</source>
+        <translation>Produkte entfernen</translation>
+    </message>
+    <message>
+        <source>A folder with a scene</source>
+        <translation>Ein Ordner mit einer Szene</translation>
+    </message>
+    <message>
+        <source>Where is '{name}' now?</source>
+        <translation>Wo ist „{name}“ jetzt?</translation>
+    </message>
+    <message>
+        <source>'{folder}' holds no scene of REPM: choose the folder with scene.json.</source>
+        <translation>„{folder}“ enthält keine Szene von REPM: Wählen Sie den Ordner mit scene.json.</translation>
+    </message>
+</context>
+<context>
     <name>ScenesDock</name>
     <message>
         <source>REPM scenes</source>
@@ -2755,50 +2802,6 @@
     <message>
         <source>Measure control points…</source>
         <translation>Passpunkte messen…</translation>
-    </message>
-    <message>
-        <source>QGIS cannot open '{path}'.</source>
-        <translation>QGIS kann „{path}“ nicht öffnen.</translation>
-    </message>
-    <message>
-        <source>The command is in the clipboard.</source>
-        <translation>Der Befehl ist in der Zwischenablage.</translation>
-    </message>
-    <message>
-        <source>The page could not be written to '{path}': check the folder.</source>
-        <translation>Die Seite konnte nicht nach „{path}“ geschrieben werden: den Ordner prüfen.</translation>
-    </message>
-    <message>
-        <source>Edit the page</source>
-        <translation>Seite bearbeiten</translation>
-    </message>
-    <message>
-        <source>Open the PDF</source>
-        <translation>PDF öffnen</translation>
-    </message>
-    <message>
-        <source>The page is '{name}'.</source>
-        <translation>Die Seite heißt „{name}“.</translation>
-    </message>
-    <message>
-        <source>These files are removed from the disk, and cannot be restored:</source>
-        <translation>Diese Dateien werden vom Datenträger entfernt und sind nicht wiederherzustellen:</translation>
-    </message>
-    <message>
-        <source>Remove products</source>
-        <translation>Produkte entfernen</translation>
-    </message>
-    <message>
-        <source>A folder with a scene</source>
-        <translation>Ein Ordner mit einer Szene</translation>
-    </message>
-    <message>
-        <source>Where is '{name}' now?</source>
-        <translation>Wo ist „{name}“ jetzt?</translation>
-    </message>
-    <message>
-        <source>'{folder}' holds no scene of REPM: choose the folder with scene.json.</source>
-        <translation>„{folder}“ enthält keine Szene von REPM: Wählen Sie den Ordner mit scene.json.</translation>
     </message>
 </context>
 <context>

@@ -38,7 +38,7 @@ def made(town, tmp_path_factory):
     ],
 )
 def test_recorded_options_as_a_dialog_takes_them(provider, recorded, filled):
-    from repm.desktop.scenes import parameters_of
+    from repm.desktop.scene_actions import parameters_of
 
     assert parameters_of(recorded) == filled
 
@@ -46,7 +46,7 @@ def test_recorded_options_as_a_dialog_takes_them(provider, recorded, filled):
 @pytest.mark.parametrize("overviews", [False, True])
 def test_a_picture_of_a_large_image_shows_its_halves(provider, tmp_path, overviews):
     """Dark in the west, bright in the east; half as high as wide."""
-    from repm.desktop.scenes import picture_of
+    from repm.desktop.scene_reading import picture_of
 
     path = str(tmp_path / "image.tif")
     image = gdal.GetDriverByName("GTiff").Create(path, 4000, 2000, 1, gdal.GDT_UInt16)
