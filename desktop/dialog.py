@@ -55,6 +55,7 @@ class Dialog(AlgorithmDialog):
         return Panel(parent, alg, self.in_place, self.active_layer)
 
     _given: Mapping[str, object] = {}  # of the last run
+    _failed = False  # while QGIS finishes a run that failed
     _in_use: set[Dialog] = set()
     """Dialogs that are shown or run something. Python 3.14 forgets one that nobody else refers to, such as one of
     ``processing.createAlgorithmDialog``; the run then uses objects that no longer exist, and QGIS crashes."""
@@ -77,7 +78,11 @@ class Dialog(AlgorithmDialog):
 
     def finish(self, successful: bool, result: JsonMapping, *more: object, **named: object) -> None:
         """Offers the next step on the map, and here as well, where this dialog stays open."""
-        super().finish(successful, result, *more, **named)
+        self._failed = not successful
+        try:
+            super().finish(successful, result, *more, **named)
+        finally:
+            self._failed = False
         if not self.isVisible():
             self._in_use.discard(self)
         if successful:
@@ -85,6 +90,11 @@ class Dialog(AlgorithmDialog):
             text, buttons = STEPS.after(iface, self.algorithm().name(), self._given, result)
             if buttons and self.isVisible():
                 push_message(self.messageBar(), text, [(title, self._closing(run)) for title, run in buttons])
+
+    def setInfo(self, text: str, *more: object, **named: object) -> None:
+        """QGIS says that a run that failed has finished and made a page, too."""
+        if not self._failed:
+            super().setInfo(text, *more, **named)
 
     def _closing(self, run: Callable[[], object]) -> Callable[[], None]:
         """The action of a button of this dialog: the next step's dialog opens where this one stood."""

@@ -333,8 +333,9 @@ def scenes(menu, fitted, folder):
     parts[0].setExpanded(True)
     read()
     assert not parts[0].child(0).icon(0).isNull()
-    styler = mock.patch.object(module.styles.LayerStyler, "postProcessLayer")
-    with styler, mock.patch.object(dock, "_zoom"), mock.patch.object(dock, "forget"):
+    kept = mock.patch.multiple(dock.act, _zoom=mock.DEFAULT, forget=mock.DEFAULT, make_page=mock.DEFAULT)
+    actions = importlib.import_module(type(dock.act).__module__)
+    with mock.patch.object(actions.styles.LayerStyler, "postProcessLayer"), kept:
         for each in (item, *(part.child(0) for part in parts)):
             dock.tree.setCurrentItem(each)
             dock.tree.itemDoubleClicked.emit(each, 0)
@@ -346,14 +347,14 @@ def scenes(menu, fitted, folder):
     if popup is not None:
         popup.close()
     ANSWERS["question"] = Box.Yes
-    dock.remove(str(folder), [product.data(0, Qt.ItemDataRole.UserRole)[2]])
+    dock.act.remove(str(folder), [product.data(0, Qt.ItemDataRole.UserRole)[2]])
     read()
     assert not dsm.exists()
     shutil.rmtree(folder)
     dock.refresh()
     read()
-    dock.relink(str(folder))
-    dock.forget(str(folder))
+    dock.act.relink(str(folder))
+    dock.act.forget(str(folder))
 
 
 def dialogs(menu, parts):

@@ -7,7 +7,7 @@ import weakref
 
 import processing
 from processing.core.ProcessingConfig import ProcessingConfig
-from qgis.core import QgsApplication, QgsProcessingParameterDefinition
+from qgis.core import QgsApplication, QgsProcessingContext, QgsProcessingFeedback, QgsProcessingParameterDefinition
 from qgis.PyQt.QtCore import QEvent
 from qgis.PyQt.QtTest import QTest
 from qgis.PyQt.QtWidgets import (
@@ -18,6 +18,7 @@ from qgis.PyQt.QtWidgets import (
     QLineEdit,
     QMenu,
     QScrollArea,
+    QTextEdit,
 )
 from qgis.utils import iface
 
@@ -167,6 +168,11 @@ def look():
     FOUND["history"] = [panel.wrappers[name].parameterValue() for name in ("MODEL", "FILL")]
     picture(dialog, "preset.png")
     FOUND["lists"] = {"RPCS": listed(panel, "RPCS")}
+    log = next(each for each in dialog.findChildren(QTextEdit) if each.objectName() == "txtLog")
+    dialog.setInfo("still shown")
+    dialog.iterateParam = None  # as of a run
+    dialog.finish(False, {}, QgsProcessingContext(), QgsProcessingFeedback())
+    FOUND["log of a failure"] = log.toPlainText()
     dialog.close()
 
     dialog = opened("mosaic")

@@ -59,6 +59,8 @@ def test_dialogs_offer_what_is_known_and_hide_what_does_not_matter(desktop_start
         for name, value in zip(names, values.values()):
             assert value == PRESETS[preset].get(name, PipelineOptions.option(name).default), (preset, name)
     assert found["changed"] == ["polynomial", "none"]  # what the user changed is not taken back
+    assert "still shown" in found["log of a failure"]
+    assert not [word for word in ("HTML output", "finished") if word in found["log of a failure"]]
     assert found["history"] == ["homography", "all"]  # what a run was given goes before its preset
     assert (found["views"], found["view"]) == (["img_01", "img_02", "img_03"], "img_02")
     assert found["no views"] == ["Choose a scene first"]
