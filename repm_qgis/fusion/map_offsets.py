@@ -28,6 +28,7 @@ from ..matching.parameters import MATCHING, MatchingParameters
 from ..runtime.memory import fusing_mib, tile_work, workers_within
 from ..runtime.parallel import run_tasks
 from ..runtime.progress import Progress
+from ..runtime.spare_cores import spread
 from ..scene import Scene, Tile
 from ..stereo.triangulation import nodes
 from .parameters import FUSION, FusionParameters, MapOffsetParameters
@@ -170,22 +171,22 @@ def _compared(task: _TileTask) -> _Compared:
     parameters, crs = task.fusion.offsets, task.scene.crs
     spacing = parameters.every_px * task.scene.gsd_m
     grid = CellGrid.covering(task.bounds, spacing)
-    layers, ground = [], []
-    for record in task.records:
+
+    def layer(record: HeightMapRecord) -> Tuple[FloatArray, Tuple[FloatArray, FloatArray]]:
         source = height_source(task.scene, task.bounds, record, crs, task.matching)
         points = source.read(None, parameters.every_px)
         own = np.where(points.filled, np.nan, points.height)
         apart = parameters.every_px * task.scene.matched_gsd_m(record.pair)
-        layers.append(
-            grid_points(
-                grid, points.x, points.y, height=own, score=points.score, spacing=apart, parameters=task.fusion.gridding
-            )[0]
+        cells, _, _ = grid_points(
+            grid, points.x, points.y, height=own, score=points.score, spacing=apart, parameters=task.fusion.gridding
         )
         columns, rows = (nodes(size, parameters.lattice_px) for size in record.size)
         known = points.height[np.isfinite(points.height)]
         middle = float(np.median(known)) if known.size else sum(record.altitudes) / 2
         level = np.full((len(rows), len(columns)), middle)
-        ground.append((source.x.on_grid(columns, rows, level), source.y.on_grid(columns, rows, level)))
+        return cells, (source.x.on_grid(columns, rows, level), source.y.on_grid(columns, rows, level))
+
+    layers, ground = (list(each) for each in zip(*spread(layer, task.records)))
     parts = Parts(grid, max(1, round(parameters.part_px / parameters.every_px)))
     differences = []
     best = sorted(range(len(layers)), key=lambda number: task.records[number].metres_per_px)[: parameters.compared]

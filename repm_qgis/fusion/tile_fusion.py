@@ -17,6 +17,7 @@ from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..geometry.gridding import grid_points, surface_step
 from ..matching.backends import height_source
 from ..matching.parameters import MATCHING, MatchingParameters
+from ..runtime.spare_cores import spread
 from ..runtime.workspace import whole_file, write_text
 from ..scene import Scene
 from ..stereo.height_maps import HeightMap, HeightSource, checksum_of, require_whole
@@ -180,7 +181,9 @@ def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]
     most = max((record.alike for record in task.records), default=1.0)
     whole = np.empty((2 * FIELDS + 1, *grid.shape), np.float32)
     everything = Window(0, 0, *grid.size)
-    for own, wide in overlapping_blocks(grid.size, parameters.block_cells, rim):
+
+    def fuse(block: Tuple[Window, Window]) -> None:
+        own, wide = block
         part = grid.part(wide)
         bounds = part.bounds.grown(part.cell)
         layers: List[HeightLayer] = []
@@ -193,6 +196,8 @@ def _fuse_blocks(task: FuseTask, grid: CellGrid, sources: Sequence[HeightSource]
         inner, target = own.inside(wide), own.inside(everything)
         for array, values in zip(whole, fused.arrays()):
             array[target] = values[inner]
+
+    spread(fuse, list(overlapping_blocks(grid.size, parameters.block_cells, rim)))
     return FusedCells.of(list(whole))
 
 

@@ -12,6 +12,7 @@ from ..contracts.records import HeightMapRecord
 from ..imagery.raster import opened, read
 from ..matching.detail import tail
 from ..matching.parameters import MATCHING, SubpixelParameters
+from ..runtime.spare_cores import spread
 from ..scene import Scene
 from .outliers import remove_isolated_points
 from .parameters import FUSION, IsolatedPointParameters, WallParameters
@@ -34,7 +35,7 @@ def has_walls(
     records = [record for tile in scene.tiles for record in tile.heights]
     asked = records[:: max(1, -(-len(records) // parameters.maps))]
     alike = replace(isolated, neighbours=parameters.neighbours)
-    tails = [_tail(record, parameters.window_px, subpixel, alike) for record in asked]
+    tails = spread(lambda record: _tail(record, parameters.window_px, subpixel, alike), asked)
     return bool(tails) and float(np.median(tails)) >= parameters.least_tail
 
 

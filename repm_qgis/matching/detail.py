@@ -18,6 +18,7 @@ import numpy as np
 from ..contracts.arrays import FloatImage, Size
 from ..imagery.warping import gaussian_mean
 from ..numerics.robust import nmad
+from ..runtime.spare_cores import spread
 from .parameters import DetailParameters, SubpixelParameters
 
 _HALF = 2  # px between the pixels that wide means are made of
@@ -42,15 +43,20 @@ def without_noise(
         return disparity
     sigmas = (0.0, *p.scales_px)
     means = _means(disparity, p.scales_px, parameters)
-    kept = means[-1]
-    for (fine, coarse), (narrow, wide) in zip(zip(sigmas, sigmas[1:]), zip(means, means[1:])):
+
+    def explained(scale: int) -> FloatImage:
+        """The detail between two means without what noise explains of it."""
+        fine, coarse = sigmas[scale : scale + 2]
+        narrow, wide = means[scale : scale + 2]
         # Means over sigma a and b have the covariance area / (area + (a^2 + b^2) / 2) of the variance.
         part = [area_px / (area_px + square) for square in (fine**2, coarse**2, (fine**2 + coarse**2) / 2)]
         noise = variance * np.float32(p.noise_share * (part[0] + part[1] - 2 * part[2]))
         detail = np.where(known, narrow - wide, np.float32(0))
         power = gaussian_mean(known, parameters.power_window * coarse)(detail * detail)
         share = np.minimum(noise / np.maximum(power, np.float32(1e-9)), np.float32(1))
-        kept = kept + (1 - reduce(np.multiply, [share] * p.power)) * detail
+        return np.asarray((1 - reduce(np.multiply, [share] * p.power)) * detail)
+
+    kept = reduce(np.add, spread(explained, range(len(means) - 1)), means[-1])
     return np.where(known, kept, np.float32(np.nan)).astype(np.float32)
 
 
@@ -73,19 +79,21 @@ def _means(disparity: FloatImage, scales_px: Sequence[float], parameters: Subpix
     Near edges the coarser grid mixes surfaces. The detail is large there, and is kept.
     """
     means, full = [disparity], [sigma for sigma in scales_px if sigma <= parameters.full_scale_px]
-    for sigma in full:
-        means.append(bilateral_mean(disparity, sigma, parameters.alike_detail_px))
+    means += spread(lambda sigma: bilateral_mean(disparity, sigma, parameters.alike_detail_px), full)
     height, width = disparity.shape
     small = means[-1][::_HALF, ::_HALF]
     known = np.isfinite(small)
     weight = _doubled(known.astype(np.float32), (width, height))
     found = weight > 0
     share = np.where(found, weight, np.float32(1))
-    for sigma in scales_px[len(full) :]:
+
+    def wide(sigma: float) -> FloatImage:
         rest = np.sqrt(sigma**2 - (full[-1] ** 2 if full else 0.0)) / _HALF
         mean = bilateral_mean(small, rest, parameters.alike_detail_px)
-        value = _doubled(np.where(known, mean, np.float32(0)), (width, height))
-        means.append(np.where(found, value / share, means[-1]))
+        return np.asarray(_doubled(np.where(known, mean, np.float32(0)), (width, height)) / share)
+
+    for value in spread(wide, scales_px[len(full) :]):
+        means.append(np.where(found, value, means[-1]))
     return means
 
 

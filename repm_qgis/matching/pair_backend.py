@@ -22,6 +22,7 @@ from ..imagery.warping import PixelMap, SourcePixels, coarsened, source_pixels
 from ..runtime.memory import matching_mib, tile_work, workers_within
 from ..runtime.parallel import run_tasks
 from ..runtime.progress import Part, Progress, Silent
+from ..runtime.spare_cores import side_by_side, spread
 from ..runtime.workspace import drop_temporaries, fingerprint
 from ..scene import Scene
 from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, write_height_map
@@ -319,14 +320,14 @@ class _Frame:
         self.moved = replace(pair, h_second=translation(high, 0) @ pair.h_second)
         self._sizes = (pair.size, (width + high - low, height))
         self._maps = (self.moved.first_original, self.moved.second_original)
-        self.first, self.second = (_source(task, number, self._maps[number], self._sizes[number]) for number in (0, 1))
+        self.first, self.second = spread(lambda k: _source(task, k, self._maps[k], self._sizes[k]), (0, 1))
         self._reduced: Optional[ReducedPair] = None
 
     def reduced(self) -> ReducedPair:
         """The pair as the coarse level has it."""
         if self._reduced is None:
-            parts = zip((self.first, self.second), self._maps, self._sizes)
-            a, b = (_reduced(source, at, size, self._factor) for source, at, size in parts)
+            parts = list(zip((self.first, self.second), self._maps, self._sizes))
+            a, b = spread(lambda part: _reduced(*part, self._factor), parts)
             self._reduced = ReducedPair(a, b, (self.search[0] // self._factor, self.search[1] // self._factor))
         return self._reduced
 
@@ -343,13 +344,15 @@ def sample_pair(task: PairTask, pair: RectifiedPair, geometry: PairGeometry) -> 
         window = coarse.window(bounds, geometry, p)
         prior = find_prior(coarse, window, geometry, p)
     left, top, width, height = window
-    a = frame.first.sampled(lambda at: pair.first_original(at + (left, top)), (width, height), "cubic")
     if prior is None:
         original = lambda at: moved.second_original(at + (left, top))  # noqa: E731
     else:
         low, high = prior.low, prior.high
         original = sampled_on(prior.second_original(pair, geometry, p.remove_parallax))
-    b = frame.second.sampled(original, (width + high - low, height), "cubic")
+    a, b = side_by_side(
+        lambda: frame.first.sampled(lambda at: pair.first_original(at + (left, top)), (width, height), "cubic"),
+        lambda: frame.second.sampled(original, (width + high - low, height), "cubic"),
+    )
     return SampledPair(a, b, (low, high), window, prior, lambda: frame.reduced().part(window, p.factor))
 
 

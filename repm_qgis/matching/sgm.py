@@ -14,6 +14,7 @@ import numpy as np
 
 from ..contracts.arrays import ByteImage, FloatImage
 from ..imagery.sampling import known_or_zero
+from ..runtime.spare_cores import side_by_side
 from .depth_edges import correct_depth_edges
 from .disparity_checks import complete, speckle_filter, without_rim
 from .disparity_map import DisparityMap, match_score
@@ -46,12 +47,19 @@ def match(
     low, high = disparities
     sgm, edges = parameters.sgm, parameters.edges
     a, b = to_bytes(first), to_bytes(second)
-    plain = _left_to_right(a, b, low, high, sgm)
-    left = correct_edges(plain, first, second, (-1.0, high), height_sign, edges)
-    right = correct_edges(_right_to_left(a, b, low, high, sgm), second, first, (1.0, -high), height_sign, edges)
+    plain, back, turned = side_by_side(
+        lambda: _left_to_right(a, b, low, high, sgm),
+        lambda: _right_to_left(a, b, low, high, sgm),
+        lambda: _upside_down(a, b, low, high, sgm),
+    )
+    images, towards = (first, second), ((-1.0, high), (1.0, -high))
+    left, right = side_by_side(
+        lambda: correct_edges(plain, *images, towards[0], height_sign, edges),
+        lambda: correct_edges(back, *images[::-1], towards[1], height_sign, edges),
+    )
     first, second = without_rim(first, sgm.rim_px), without_rim(second, sgm.rim_px)
     left[~np.isfinite(first)] = np.nan
-    disparity = _agreed(left, right, high, sgm.left_right_px) + _drift(plain, a, b, low, high, sgm)
+    disparity = _agreed(left, right, high, sgm.left_right_px) + _drift(plain, turned, sgm)
 
     def score(found: FloatImage) -> FloatImage:
         return match_score(first, second, found, high, sgm.score_window_px)
@@ -116,17 +124,21 @@ def _agreed(left: FloatImage, right: FloatImage, high: int, most_px: float) -> F
     return np.where(consistent, (left + back) * np.float32(0.5), np.float32(np.nan))
 
 
-def _drift(
-    disparity: FloatImage, first: ByteImage, second: ByteImage, low: int, high: int, parameters: SgmParameters
-) -> FloatImage:
+def _upside_down(first: ByteImage, second: ByteImage, low: int, high: int, parameters: SgmParameters) -> FloatImage:
+    """What :func:`_left_to_right` gives where the images are matched upside down; where all eight paths are followed,
+    nothing is asked of it, and all is NaN."""
+    if parameters.paths == max(_MODES):
+        return np.full(first.shape, np.float32(np.nan))
+    one, other = (np.ascontiguousarray(image[::-1]) for image in (first, second))
+    return _left_to_right(one, other, low, high, parameters)[::-1]
+
+
+def _drift(disparity: FloatImage, turned: FloatImage, parameters: SgmParameters) -> FloatImage:
     """(H, W) px that are missing in the first image's disparities, 0 where that is not known.
 
     With fewer than eight paths OpenCV hands costs down from the top alone, so that surfaces move down by 0.1 to 0.3
     rows. Images that are matched upside down have the opposite error.
     """
-    if parameters.paths == max(_MODES):
-        return np.zeros_like(disparity)
-    one, other = (np.ascontiguousarray(image[::-1]) for image in (first, second))
-    half = (_left_to_right(one, other, low, high, parameters)[::-1] - disparity) * np.float32(0.5)
+    half = (turned - disparity) * np.float32(0.5)
     with np.errstate(invalid="ignore"):
         return np.where(np.abs(half) <= np.float32(parameters.left_right_px / 2), half, np.float32(0))

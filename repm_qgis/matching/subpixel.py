@@ -11,6 +11,7 @@ from ..contracts.arrays import FloatImage, Mask
 from ..imagery.sampling import known_or_zero
 from ..imagery.warping import gaussian_mean
 from ..numerics.robust import NMAD_FACTOR
+from ..runtime.spare_cores import side_by_side
 from .detail import bilateral_mean, tail, without_noise
 from .disparity_map import matched_positions
 from .parameters import MATCHING, DetailParameters, SubpixelParameters
@@ -119,12 +120,17 @@ class _Step:
         """(H, W) each: the first image less the second where it was matched; of windows, its covariance with the
         second's slope there, that slope's variance, and its own."""
         columns, rows = matched_positions(disparity, self._high)
-        off = self._first - cv2.remap(self._second, columns, rows, cv2.INTER_CUBIC)
-        g = cv2.remap(self._slope, columns, rows, cv2.INTER_LINEAR)
+        seen, g = side_by_side(
+            lambda: cv2.remap(self._second, columns, rows, cv2.INTER_CUBIC),
+            lambda: cv2.remap(self._slope, columns, rows, cv2.INTER_LINEAR),
+        )
+        off = self._first - seen
         mean = self._mean
-        mean_g, mean_off = mean(g), mean(off)
-        covariance, power = mean(off * g) - mean_off * mean_g, mean(g * g) - mean_g * mean_g
-        noise = np.maximum(mean(off * off) - mean_off * mean_off, np.float32(self._parameters.least_noise))
+        mean_g, mean_off, mean_both, power, noise = side_by_side(
+            lambda: mean(g), lambda: mean(off), lambda: mean(off * g), lambda: mean(g * g), lambda: mean(off * off)
+        )
+        covariance, power = mean_both - mean_off * mean_g, power - mean_g * mean_g
+        noise = np.maximum(noise - mean_off * mean_off, np.float32(self._parameters.least_noise))
         return off, covariance, power, noise
 
 

@@ -28,6 +28,7 @@ from ..imagery.dem import dem_range
 from ..imagery.raster import opened_masked, read
 from ..imagery.sampling import box_mean, sample
 from ..runtime.progress import Part, Progress
+from ..runtime.spare_cores import spread
 from ..scene import View
 from ..stereo.pairing import reductions
 from .altitudes import ALTITUDES, AltitudeParameters
@@ -162,10 +163,13 @@ def _swept(
     cells = 0
     patches = sweep_patches(bounds, gsd, parameters)
     shift = _pointing_shift(sweep, patches)
-    for index, patch in enumerate(patches):
+
+    def begin(ended: int, patch: Bounds) -> None:
         progress.check_cancelled()
-        progress.step(index / len(patches), "altitude range from the images")
-        altitude, score = _sweep_patch(sweep, patch, shift)
+        progress.step(ended / len(patches), "altitude range from the images")
+
+    swept = spread(lambda patch: _sweep_patch(sweep, patch, shift), patches, begin)
+    for patch, (altitude, score) in zip(patches, swept):
         good = _in_large_parts(np.where(score > parameters.least_correlation, altitude, np.nan), step, parameters)
         cells += score.size
         places = upsample_grid(_lattice(crs, patch), (altitude.shape[0], altitude.shape[1]))[good]
@@ -392,13 +396,14 @@ def _cross_shift(sweep: _Sweep, patch: Bounds) -> Tuple[float, int, Tuple[int, i
     across = np.array([-parallax[1], parallax[0]]) / max(float(np.linalg.norm(parallax)), 1e-9)
     some = sweep.planes[:: max(1, len(sweep.planes) // sweep.parameters.shift_planes)]
     stack = [[_on_plane(image, lon_lat, z, shape) for image in images] for z in some]
-    scored = []
-    for step in range(-sweep.parameters.most_shift, sweep.parameters.most_shift + 1):
+
+    def scored(step: int) -> Tuple[float, int, Tuple[int, int]]:
         # Rows run south: a move north is a move up.
         shift = (int(round(-step * across[1])), int(round(step * across[0])))
         best = np.max([_correlation(a, b, shift, sweep.parameters) for a, b in stack], axis=0)
-        scored.append((float(np.mean(best)), -abs(step), shift))
-    return max(scored)
+        return float(np.mean(best)), -abs(step), shift
+
+    return max(spread(scored, range(-sweep.parameters.most_shift, sweep.parameters.most_shift + 1)))
 
 
 def ground_altitude(

@@ -24,6 +24,7 @@ from .containers import memory_kills
 from .process_limits import THREAD_VARIABLES, one_thread_for_sums, prepare_process
 from .progress import Progress, Recorder, Silent, warn_all
 from .shortage import MEMORY_REMEDY, shortage_as_error
+from .spare_cores import spare_cores, spread
 from .translation import reader, written_in
 from .windows import cancel_transfers, exit_code
 from .workspace import ensure_folder, remove_temporary, temporary_name
@@ -41,8 +42,9 @@ _LEAST_STATUS = 0xC0000000  # from here on exit codes are errors of Windows (nts
 _STATUS_NO_MEMORY = {0xC0000017, 0xC000012D}  # STATUS_NO_MEMORY, STATUS_COMMITMENT_LIMIT
 _LONGEST_FOLDER = 70  # of characters; a socket's whole path may have 103 on macOS
 _NO_THREAD = f"This process could not start a thread because memory ran out: {MEMORY_REMEDY}."
-_FEW = 3
-"""With so few tasks, starting processes costs more than it gains: the task's own threads use the cores instead."""
+_FEW, _FEW_TO_BEGIN = 3, 4
+"""With so few tasks, threads of this process gain more than processes, which share nothing and may end unevenly; and
+with so few, processes that have not begun yet."""
 
 
 def cores() -> int:
@@ -136,12 +138,14 @@ class _Pool:
         describe: Callable[[T], str],
     ) -> List[R]:
         results: Dict[int, R] = {}
-        if workers <= 1 or len(tasks) <= _FEW:
-            for index, task in enumerate(tasks):
+        if workers <= 1 or len(tasks) <= (_FEW if self._executor else _FEW_TO_BEGIN):
+
+            def begin(ended: int, task: T) -> None:
                 progress.check_cancelled()
-                progress.step(index / len(tasks), describe(task))
-                results[index] = function(task)
-            return list(results.values())
+                progress.step(ended / len(tasks), describe(task))
+
+            with spare_cores(workers - 1):
+                return spread(function, tasks, begin)
         pending: Dict["Future[R]", int] = {}
         killed_before = memory_kills()
         try:

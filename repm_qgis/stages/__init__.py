@@ -21,6 +21,7 @@ from ..runtime.imports import require_fitting_numpy, show_proj_its_data
 from ..runtime.locks import exclusive
 from ..runtime.progress import Progress, Recorder
 from ..runtime.shortage import shortage_as_error
+from ..runtime.spare_cores import spare_cores
 from ..runtime.together import together
 from ..runtime.workspace import following_links_of
 
@@ -96,10 +97,18 @@ def _run(
     folders, files = _written(name, checked)
     products, shared = provisional(name, checked)
     workers = _workers_for(name, checked, progress)
-    with exclusive(name, progress, folders, files), together(products, shared), workers:
+    with exclusive(name, progress, folders, files), together(products, shared), workers, _spare(checked):
         progress = Recorder(progress)
         name_voids(checked, progress)
         return run(checked, progress) if parameters is None else run(checked, progress, parameters)
+
+
+def _spare(options: Options) -> ContextManager[None]:
+    """The cores beside this one that a stage may use where it runs no tasks."""
+    from ..runtime.parallel import cores
+
+    named: list[int] = [getattr(part, "workers", 0) for part in options.parts()]
+    return spare_cores((max(named) or cores()) - 1)
 
 
 def _written(name: str, options: Options) -> tuple[list[str], list[str]]:

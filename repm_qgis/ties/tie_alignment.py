@@ -26,6 +26,7 @@ from ..imagery.sampling import known_or_zero
 from ..imagery.warping import PixelMap, gaussian_mean, warp_coarsened
 from ..runtime.parallel import run_tasks
 from ..runtime.progress import Progress
+from ..runtime.spare_cores import spread
 from ..scene import Scene, View
 from ..stereo.pairing import rectified_pair, reductions
 from .parameters import TIES, AlignmentParameters
@@ -204,10 +205,10 @@ def _frames(task: _AlignTask, names: Pair) -> Optional[_Frames]:
     h_first, h_second = (translation(*-corner) @ h for corner, h in zip(corners, (pair.h_first, pair.h_second)))
     cut = RectifiedPair(pair.first, pair.second, h_first, h_second, size)
     images = zip((first, second), (cut.first_original, cut.second_original), reductions(first, second))
-    evened = [
-        _evened(view, task.stretches[view.name], original, size, ratio, task.parameters)
-        for view, original, ratio in images
-    ]
+    evened = spread(
+        lambda image: _evened(image[0], task.stretches[image[0].name], image[1], size, image[2], task.parameters),
+        list(images),
+    )
     return _Frames(pair, names, (evened[0], evened[1]), (corners[0], corners[1]))
 
 

@@ -28,6 +28,7 @@ from ..planning.graph import components
 from ..planning.overlap import foreign_rpc
 from ..runtime.parallel import run_tasks
 from ..runtime.progress import Part, Progress, counted
+from ..runtime.spare_cores import spread
 from ..scene import Scene, View, common_gsd_m
 from ..stereo.pairing import ground_points, rectify_over, reductions, refined_view
 from .keypoints import detect
@@ -174,21 +175,15 @@ class _Search:
 
 def _match_patch(task: _PatchTask) -> Dict[Pair, PairMatches]:
     """Matches of all pairs over one patch; pairs without any are left out."""
-    features: Dict[Tuple[str, float], Optional[_Features]] = {}
+    needed = list(dict.fromkeys((name, gsd_m) for pair, gsd_m in zip(task.pairs, task.coarsest_m) for name in pair))
+    features = dict(zip(needed, spread(lambda each: _features(task, task.scene.view(each[0]), each[1]), needed)))
 
-    def of(name: str, gsd_m: float) -> Optional[_Features]:
-        if (name, gsd_m) not in features:
-            features[name, gsd_m] = _features(task, task.scene.view(name), gsd_m)
-        return features[name, gsd_m]
+    def of(pair: Pair, gsd_m: float) -> Optional[PairMatches]:
+        a, b = (features[name, gsd_m] for name in pair)
+        return _match(task, a, b) if a is not None and b is not None else None
 
-    result = {}
-    for (first, second), gsd_m in zip(task.pairs, task.coarsest_m):
-        a, b = of(first, gsd_m), of(second, gsd_m)
-        if a is not None and b is not None:
-            matches = _match(task, a, b)
-            if matches is not None:
-                result[first, second] = matches
-    return result
+    found = spread(lambda each: of(*each), list(zip(task.pairs, task.coarsest_m)))
+    return {pair: matches for pair, matches in zip(task.pairs, found) if matches is not None}
 
 
 def _features(task: _PatchTask, view: View, coarsest_m: float) -> Optional[_Features]:

@@ -317,7 +317,7 @@ def test_the_environment_of_this_process_stays(work, told, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
     before = dict(os.environ)
-    run_tasks(work.square, list(range(4)), 2, told(), str)
+    run_tasks(work.square, list(range(5)), 2, told(), str)
     assert dict(os.environ) == before
 
 
@@ -391,9 +391,12 @@ def test_linear_algebra_that_others_have_loaded_gets_one_thread_for_a_while():
 
 def test_few_tasks_are_done_here(work, told):
     """Starting processes would take longer; and so with one worker."""
-    assert set(run_tasks(work.who, [1, 2, 3], 2, told(), str)) == {os.getpid()}
-    assert set(run_tasks(work.who, list(range(4)), 1, told(), str)) == {os.getpid()}
-    assert os.getpid() not in run_tasks(work.who, list(range(4)), 2, told(), str)
+    assert set(run_tasks(work.who, list(range(4)), 2, told(), str)) == {os.getpid()}
+    assert set(run_tasks(work.who, list(range(9)), 1, told(), str)) == {os.getpid()}
+    with kept_workers():
+        assert os.getpid() not in run_tasks(work.who, list(range(5)), 2, told(), str)
+        assert os.getpid() not in run_tasks(work.who, list(range(4)), 2, told(), str), "these have begun"
+        assert set(run_tasks(work.who, list(range(3)), 2, told(), str)) == {os.getpid()}
 
 
 def test_what_is_said_of_tasks(work, told):
@@ -403,10 +406,11 @@ def test_what_is_said_of_tasks(work, told):
     run_tasks(work.square, [5, 6], 1, said, "tile {}".format)
     assert steps == [(0.0, "tile 5"), (0.5, "tile 6")]
     steps.clear()
-    run_tasks(work.square, [5, 6, 7, 8], 2, said, "tile {}".format)
-    assert steps[0] == (0.0, "4 tasks on 2 cores") and [fraction for fraction, _ in steps[1:]] == [0.25, 0.5, 0.75, 1.0]
-    assert sorted(text.split(" (")[0] for _, text in steps[1:]) == ["tile 5", "tile 6", "tile 7", "tile 8"]
-    assert steps[-1][1].endswith("(4 of 4)")
+    run_tasks(work.square, [5, 6, 7, 8, 9], 2, said, "tile {}".format)
+    assert steps[0] == (0.0, "5 tasks on 2 cores")
+    assert [fraction for fraction, _ in steps[1:]] == [0.2, 0.4, 0.6, 0.8, 1.0]
+    assert sorted(text.split(" (")[0] for _, text in steps[1:]) == ["tile 5", "tile 6", "tile 7", "tile 8", "tile 9"]
+    assert steps[-1][1].endswith("(5 of 5)")
 
 
 def test_an_executor_whose_thread_has_died_is_a_sentence_and_no_hang(work, told, monkeypatch):
