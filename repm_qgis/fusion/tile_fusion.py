@@ -17,7 +17,7 @@ from ..geometry.cell_grid import CellGrid, overlapping_blocks
 from ..geometry.gridding import grid_points, surface_step
 from ..matching.backends import height_source
 from ..matching.parameters import MATCHING, MatchingParameters
-from ..runtime.spare_cores import spread
+from ..runtime.spare_cores import side_by_side, spread
 from ..runtime.workspace import whole_file, write_text
 from ..scene import Scene
 from ..stereo.height_maps import HeightMap, HeightSource, checksum_of, require_whole
@@ -129,11 +129,17 @@ def fuse_to_disk(work: Tuple[FuseTask, str]) -> StoredTile:
     tile = fuse_tile(task)
     known, own = np.isfinite(tile.fused.height), {} if tile.own is None else {"own": tile.own}
     wide = tile.wide.astype(np.float32)
+
+    def keep_cells() -> None:
+        with whole_file(path) as temporary, open(temporary, "wb") as stream:
+            np.savez(stream, cells=np.stack(tile.fused.arrays()), **own)
+
+    def keep_wide() -> None:
+        with whole_file(wide_file(path)) as temporary, open(temporary, "wb") as stream:
+            np.save(stream, wide)
+
     # The disk has both before the facts say so: after a power cut a file may be there and hold zeros.
-    with whole_file(path) as temporary, open(temporary, "wb") as stream:
-        np.savez(stream, cells=np.stack(tile.fused.arrays()), **own)
-    with whole_file(wide_file(path)) as temporary, open(temporary, "wb") as stream:
-        np.save(stream, wide)
+    side_by_side(keep_cells, keep_wide)
     columns, rows = (np.flatnonzero(known.any(axis=axis)) for axis in (0, 1))
     ends = (columns[0], rows[0], columns[-1] + 1, rows[-1] + 1) if columns.size else ()
     stored = StoredTile(
@@ -153,9 +159,8 @@ def fuse_tile(task: FuseTask) -> FusedTile:
     wide = task.window.grown(task.parameters.feather_cells, task.grid.size)
     grid = task.grid.part(wide)
     if task.step == 1:  # where only some pixels are read, GDAL's own checks of the blocks that are read have to do
-        for record in task.records:
-            require_whole(record)
-    sources = [height_source(task.scene, task.bounds, record, task.crs, task.matching) for record in task.records]
+        spread(require_whole, task.records)
+    sources = spread(lambda each: height_source(task.scene, task.bounds, each, task.crs, task.matching), task.records)
     fused = _fuse_blocks(task, grid, sources)
     if task.fill == "none":
         fused = fused.without_backgrounds()

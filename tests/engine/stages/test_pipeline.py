@@ -292,13 +292,14 @@ def test_stages_one_by_one_give_the_same_dsm(urban, urban_run, tmp_path, told):
 
 
 @pytest.mark.long
-def test_two_workers_give_the_same_dsm(urban, urban_run, tmp_path, told):
+@pytest.mark.parametrize("workers", (2, 4))
+def test_more_workers_give_the_same_dsm(urban, urban_run, tmp_path, told, workers):
     result = run_stage(
         "pipeline",
         {
             **urban_run.options,
             "workspace": str(tmp_path / "ws"),
-            "workers": 2,
+            "workers": workers,
             **{
                 name: str(tmp_path / f"{name}{end}")
                 for name, end in (
