@@ -35,7 +35,14 @@ from qgis.PyQt.QtWidgets import (
 from qgis.utils import iface
 
 from ..processing_provider import settings, words
-from ..processing_provider.kept import PLACES, folder_for_products, in_folder, is_temporary, propose_workspace
+from ..processing_provider.kept import (
+    PLACES,
+    folder_for_products,
+    in_folder,
+    is_temporary,
+    propose_for_many,
+    propose_workspace,
+)
 from ..processing_provider.last_scene import last_scene
 from ..processing_provider.values import any_paths, is_empty
 from ..repm_qgis.contracts.documents import JsonMapping
@@ -129,7 +136,8 @@ class Panel(ParametersPanel):
         self._follow("PRESET", self._fill_in)
         self._proposed = ""
         if "WORKSPACE" in self.wrappers:
-            self._follow("IMAGES", self._propose_workspace)
+            for name in ("IMAGES", "FOLDER", "TABLE"):
+                self._follow(name, self._propose_workspace)
         outputs = (each.name() for each in self.algorithm().parameterDefinitions() if each.isDestination())
         lines = {name: self._line_of(name) for name in outputs}
         self._skipped: set[str] = set()
@@ -279,7 +287,11 @@ class Panel(ParametersPanel):
         """A workspace that lasts, unless the user has chosen one."""
         if self._value("WORKSPACE") not in (None, "", QgsProcessing.TEMPORARY_OUTPUT, self._proposed):
             return
-        self._proposed = propose_workspace(any_paths(self._value("IMAGES"), self.processing_context, only_named=True))
+        if "IMAGES" in self.wrappers:
+            images = any_paths(self._value("IMAGES"), self.processing_context, only_named=True)
+            self._proposed = propose_workspace(images)
+        else:
+            self._proposed = propose_for_many(str(self._value("FOLDER") or self._value("TABLE") or ""))
         self._set("WORKSPACE", self._proposed or QgsProcessing.TEMPORARY_OUTPUT)
 
     def _line_of(self, name: str) -> QLineEdit | None:

@@ -2,6 +2,45 @@
 <!DOCTYPE TS>
 <TS version="2.1" language="de" sourcelanguage="en">
 <context>
+    <name>Batch</name>
+    <message>
+        <source>Make DSMs of many scenes</source>
+        <translation>DOM vieler Szenen erzeugen</translation>
+    </message>
+    <message>
+        <source>A DSM of each subfolder, STAC item or row of a table, with a layer and a report of all of them.</source>
+        <translation>Ein DOM für jeden Unterordner, jedes STAC-Element oder jede Zeile einer Tabelle, mit einem Layer und einem Bericht über alle.</translation>
+    </message>
+    <message>
+        <source>Folder of scenes</source>
+        <translation>Ordner mit Szenen</translation>
+    </message>
+    <message>
+        <source>Tables and STAC files</source>
+        <translation>Tabellen und STAC-Dateien</translation>
+    </message>
+    <message>
+        <source>Table or STAC file of scenes</source>
+        <translation>Tabelle oder STAC-Datei mit Szenen</translation>
+    </message>
+    <message>
+        <source>Products of each scene beside its DSM</source>
+        <translation>Produkte jeder Szene neben ihrem DOM</translation>
+    </message>
+    <message>
+        <source>Each of its subfolders and ZIP or TAR files is a scene: it holds the images with RPCs.</source>
+        <translation>Jeder Unterordner und jede ZIP- oder TAR-Datei darin ist eine Szene: darin liegen die Bilder mit RPC.</translation>
+    </message>
+    <message>
+        <source>In place of a folder: a CSV file with a row for each scene, whose columns are scene (its name), images (files, a folder or an archive; with ; between) and options in small letters, such as extent or resolution, which go before those below. Or a STAC item, collection or catalogue.</source>
+        <translation>Anstelle eines Ordners: eine CSV-Datei mit einer Zeile je Szene, deren Spalten scene (ihr Name), images (Dateien, ein Ordner oder ein Archiv; mit ; dazwischen) und Optionen in Kleinbuchstaben sind, etwa extent oder resolution, die denen unten vorgehen. Oder ein Element, eine Sammlung oder ein Katalog von STAC.</translation>
+    </message>
+    <message>
+        <source>Each takes time and space for each scene.</source>
+        <translation>Jedes kostet bei jeder Szene Zeit und Platz.</translation>
+    </message>
+</context>
+<context>
     <name>Buildings</name>
     <message>
         <source>Find buildings: footprints, heights, roofs</source>
@@ -1786,6 +1825,26 @@
         <translation>Ein STAC-Eintrag neben dem DOM: wann und wo die Bilder aufgenommen wurden, und die Dateien, die entstanden.</translation>
     </message>
     <message>
+        <source>Footprints of the scenes</source>
+        <translation>Umrisse der Szenen</translation>
+    </message>
+    <message>
+        <source>The outline of each scene, with its verdict, its figures, and links to its report and its DSM.</source>
+        <translation>Der Umriss jeder Szene mit ihrem Urteil, ihren Zahlen und Links zu ihrem Bericht und ihrem DOM.</translation>
+    </message>
+    <message>
+        <source>Workspace of all scenes</source>
+        <translation>Arbeitsordner aller Szenen</translation>
+    </message>
+    <message>
+        <source>A folder for one folder a scene, with its DSM and report; a second run there does what is left to do.</source>
+        <translation>Ein Ordner für je einen Ordner pro Szene mit ihrem DOM und Bericht; ein zweiter Lauf dort macht, was noch fehlt.</translation>
+    </message>
+    <message>
+        <source>Mosaic of the DSMs</source>
+        <translation>Mosaik der DOM</translation>
+    </message>
+    <message>
         <source>DSM mosaic</source>
         <translation>DOM-Mosaik</translation>
     </message>
@@ -2014,6 +2073,10 @@
         <translation>Bericht über den Lauf</translation>
     </message>
     <message>
+        <source>Report of all scenes</source>
+        <translation>Bericht über alle Szenen</translation>
+    </message>
+    <message>
         <source>Report of the mosaic</source>
         <translation>Bericht über das Mosaik</translation>
     </message>
@@ -2132,6 +2195,22 @@
     <message>
         <source>Cells with a height (%)</source>
         <translation>Zellen mit Höhe (%)</translation>
+    </message>
+    <message>
+        <source>DSMs</source>
+        <translation>DOM</translation>
+    </message>
+    <message>
+        <source>Number of scenes</source>
+        <translation>Anzahl der Szenen</translation>
+    </message>
+    <message>
+        <source>Scenes that failed</source>
+        <translation>Szenen, die gescheitert sind</translation>
+    </message>
+    <message>
+        <source>Scenes that were complete before</source>
+        <translation>Szenen, die schon vorher fertig waren</translation>
     </message>
     <message>
         <source>Difference of two DSMs along the seams, median (m)</source>

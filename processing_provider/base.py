@@ -240,7 +240,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         self, definition: QgsProcessingParameterDefinition, value: object, context: QgsProcessingContext
     ) -> str:
         name = definition.name()
-        if name in ("RPCS", "MASKS", "CONFIDENCES", "GCPS", "PROFILES", "SCENES", "EDITS", "AREAS"):
+        if name in ("RPCS", "MASKS", "CONFIDENCES", "GCPS", "PROFILES", "SCENES", "EDITS", "AREAS", "TABLE"):
             return self._check_files(name, value, context)
         if name in ("IMAGES", "XS"):
             return self._check_images(name, value, context)

@@ -113,6 +113,16 @@ def propose_workspace(images: Sequence[str]) -> str:
     return path
 
 
+def propose_for_many(path: str) -> str:
+    """A workspace for the scenes of a folder or a table, in the project's folder or beside that; "" where nothing can
+    be written there. Scenes of an earlier run keep it, as a second one goes on there."""
+    if not path:
+        return ""
+    folder = place_of("WORKSPACE", QgsProject.instance().homePath() or os.path.dirname(os.path.abspath(path)))
+    name = os.path.splitext(os.path.basename(path.rstrip("/\\")))[0]
+    return os.path.join(folder, "repm", name) if folder else ""
+
+
 def place_of(name: str, path: str) -> str:
     """The folder that a parameter's value stands for: the workspace, or that of a scene or surface; "" where it is a
     temporary one, or one in which nothing can be written."""

@@ -732,6 +732,29 @@ def colours() -> list[QgsProcessingParameterDefinition]:
     ]
 
 
+def of_all_stages() -> list[QgsProcessingParameterDefinition]:
+    """What a whole run takes for its stages, in their order, all of it advanced."""
+    return [
+        advanced(crs()),
+        advanced(dem()),
+        *altitudes(),
+        gcp_datum(),
+        reference_datum(),
+        stable(),
+        *tiles_and_budget(),
+        advanced(model()),
+        advanced(order()),
+        pairs(),
+        matching_cost(),
+        pointing(),
+        adjustment(),
+        advanced(backend()),
+        *patch_match(),
+        *fusion(),
+        *map(advanced, colours()),
+    ]
+
+
 def scene(label: Optional[str] = None) -> QgsProcessingParameterDefinition:
     return helped(
         QgsProcessingParameterFile(

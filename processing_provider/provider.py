@@ -10,6 +10,7 @@ from qgis.PyQt.QtGui import QIcon
 
 from . import settings
 from .base import PLUGIN_FOLDER, resource
+from .batch import Batch
 from .buildings import Buildings
 from .change import Change
 from .checkgcps import CheckGcps
@@ -47,6 +48,7 @@ ALGORITHMS = (
     Buildings,
     EditDsm,
     Pipeline,
+    Batch,
     CompareDsm,
     CheckGcps,
     Viewer,

@@ -189,6 +189,8 @@ def input_options(
         value = definition.defaultValue() if is_empty(given) else read(parameters, name, context)
     elif kind == "boolean":
         value = algorithm.parameterAsBool(parameters, name, context)
+    elif kind == "enum" and definition.allowMultiple():
+        value = _words(algorithm, definition, given, parameters, context)
     elif kind == "enum":
         value = algorithm.parameterAsEnumString(parameters, name, context)
     elif kind == "file":
@@ -215,6 +217,8 @@ def checked_value(
     if kind == "number":
         # A model passes None on for a number that its command leaves out.
         return definition.defaultValue() if is_empty(given) else _number(algorithm, definition, parameters, context)
+    if kind == "enum" and definition.allowMultiple():
+        return _words(algorithm, definition, given, parameters, context)
     if kind in ("enum", "string"):
         return given if isinstance(given, str) else algorithm.parameterAsString(parameters, name, context)
     if kind in ("extent", "crs"):
@@ -227,6 +231,19 @@ def checked_value(
         # As QGIS will name it: some stages write only what has the right extension.
         return "-" if definition.type() == "folderDestination" else f"-.{definition.defaultFileExtension()}"
     return None if is_empty(given) else str(given)
+
+
+def _words(
+    algorithm: QgsProcessingAlgorithm,
+    definition: QgsProcessingParameterDefinition,
+    given: object,
+    parameters: JsonMapping,
+    context: QgsProcessingContext,
+) -> list[str]:
+    """The words of a choice of several; the engine refuses those that it does not know."""
+    if isinstance(given, str):
+        return [word.strip() for word in given.split(",") if word.strip()]
+    return [] if is_empty(given) else list(algorithm.parameterAsEnumStrings(parameters, definition.name(), context))
 
 
 def _number(

@@ -21,7 +21,7 @@ from . import __version__
 from .contracts import options as options_of_stages
 from .contracts.checks import Choice, Number, types_of
 from .contracts.documents import JsonMapping, JsonObject, Keywords
-from .contracts.options import Options, PipelineOptions
+from .contracts.options import Options
 from .contracts.products import PRODUCTS
 from .contracts.stages import STAGES
 from .engine_process import own_output, read_job, serve
@@ -87,16 +87,9 @@ def _metavar(kind: type) -> str:
     return {str: "TEXT", int: "NUMBER", float: "NUMBER"}[kind]
 
 
-def _owner(options: Type[Options], name: str) -> Type[Options]:
-    """The class that has an option: one of its stages, for the pipeline."""
-    if issubclass(options, PipelineOptions) and name not in options.OWN:
-        return next(part for part in options.STAGES if name in part.names())
-    return options
-
-
 def _kind(options: Type[Options], name: str) -> Any:
     """The type of an option's value, without what says that there may be none and what bounds it."""
-    kind = types_of(_owner(options, name))[name]
+    kind = types_of(options.owner_of(name))[name]
     while get_origin(kind) not in (None, tuple):
         kind = next(each for each in get_args(kind) if each is not type(None))
     return kind
@@ -104,7 +97,7 @@ def _kind(options: Type[Options], name: str) -> Any:
 
 def _help(stage: str, options: Type[Options], name: str) -> str:
     """What options.py says of an option, what it may be, and its default."""
-    owner, declared = _owner(options, name), options.option(name)
+    owner, declared = options.owner_of(name), options.option(name)
     product = next((each for each in PRODUCTS if each.option == name and STAGES[each.stage].options is owner), None)
     parts = [product.title if product is not None else "", _plain(_said(owner, name))]
     check, default = declared.metadata.get("check"), declared.default

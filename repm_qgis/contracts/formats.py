@@ -63,6 +63,11 @@ def require_formats(stage: str, options: Options) -> None:
                 raise OptionError(product.option.upper(), path, problem)
 
 
+def extension_of(product: Product) -> str:
+    """The usual extension of a product's name, "" for a folder."""
+    return _endings(product)[0] if product.form in (RASTER, POINTS, POLYGONS, FILE) else ""
+
+
 def companions(product: Product, path: str) -> List[str]:
     """All files that belong to a product beside its own: its style, what GDAL keeps of it, parts of its format."""
     ends, more = [".qml"], [".aux.xml"]

@@ -57,6 +57,9 @@ PRESETS: Dict[str, Keywords] = {
 """Values that go together, for options of the pipeline that are not given; docs/algorithms/pipeline.md has what each
 costs and gives."""
 
+BATCH_PRODUCTS = ("confidence", "ortho", "water_mask", "cloud", "ept", "mesh", "view_heights", "viewer", "stac")
+"""What may be made beside the DSM of each of many scenes."""
+
 Extent = Annotated[Tuple[float, float, float, float], Rectangle()]
 T = TypeVar("T", bound="Options")
 
@@ -126,6 +129,11 @@ class Options(metaclass=_ByName):
     def option(cls, name: str) -> "dataclasses.Field[Any]":
         """The declaration of one option: its default, and its check in ``metadata``."""
         return next(each for each in dataclasses.fields(cls) if each.name == name)
+
+    @classmethod
+    def owner_of(cls, name: str) -> "Type[Options]":
+        """The class that declares an option: this one, unless it consists of others."""
+        return cls
 
     @classmethod
     def default_of(cls, name: str) -> Default:
@@ -533,9 +541,12 @@ class PipelineOptions(Options):
         return list(dict.fromkeys([*names, *cls.OWN]))
 
     @classmethod
+    def owner_of(cls, name: str) -> Type[Options]:
+        return cls if name in cls.OWN else next(stage for stage in cls.STAGES if name in stage.names())
+
+    @classmethod
     def option(cls, name: str) -> "dataclasses.Field[Any]":
-        stages = (stage for stage in cls.STAGES if name in stage.names())
-        return next(stages).option(name) if name not in cls.OWN else super().option(name)
+        return super().option(name) if name in cls.OWN else cls.owner_of(name).option(name)
 
     @classmethod
     def _of(cls, values: JsonMapping, **set_here: object) -> "PipelineOptions":
@@ -563,6 +574,78 @@ class PipelineOptions(Options):
             register=register,
             **own,
         )
+
+
+@dataclass(frozen=True)
+class BatchOptions(Options):
+    """Make the DSMs of many scenes, one after the other, each in its own folder of the workspace.
+
+    ``folder`` has a subfolder or an archive for each scene; ``table`` in its place is a CSV file with a row for each
+    scene, whose columns are options that it has for itself, or a STAC item, collection or catalogue, each of whose
+    items is a scene. ``workspace`` gets a folder for each scene, with its DSM. ``products`` are made beside each DSM.
+    ``output`` is the layer of footprints with the figures of each scene, ``mosaic`` one DSM of all, ``report`` the page
+    about all of them; None = not wanted. ``common`` are the options of the pipeline that all scenes share; JSON has
+    them in one object with the others.
+    """
+
+    workspace: str = given()
+    folder: Optional[str] = read(None)
+    table: Optional[str] = read(None)
+    products: Tuple[str, ...] = ("confidence",)
+    output: Optional[str] = None
+    report: Optional[str] = None
+    mosaic: Optional[str] = None
+    common: JsonObject = field(default_factory=dict)
+
+    OWN: ClassVar[Tuple[str, ...]] = ("folder", "table", "workspace", "products", "output", "report", "mosaic")
+    OF_ONE: ClassVar[Tuple[str, ...]] = ("images", "rpcs", "masks", "gcps", "xs")
+    """The options of the pipeline that no two scenes share, for a table's columns only."""
+    PLACES: ClassVar[Tuple[str, ...]] = (
+        *("workspace", "report", "command", "tiles", "tie_points", "heights", "output", "confidence", "ortho"),
+        *("water_mask", "cloud", "ept", "mesh", "view_heights", "viewer", "stac"),
+    )
+    """Those that say where the pipeline writes, which follows from a scene's name."""
+    MACHINE: ClassVar[Tuple[str, ...]] = ("workers", "memory", "cluster")
+    """Those that say what computes: never a table's business, nor do results depend on them."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if bool(self.folder) == bool(self.table):
+            raise OptionError("FOLDER", self.folder, "must be given, or TABLE, and not both: either lists the scenes")
+        if self.folder and real_path(self.folder) == real_path(self.workspace):
+            same = "is also FOLDER, where products would lie among images: choose another folder"
+            raise OptionError("WORKSPACE", self.workspace, same)
+        for name in self.products:
+            if name not in BATCH_PRODUCTS:
+                raise OptionError("PRODUCTS", name, f"must be one of {', '.join(BATCH_PRODUCTS)}")
+        PipelineOptions.from_json({**self.common, "images": ["a", "b"], "workspace": "w", "output": "dsm.tif"})
+
+    @classmethod
+    def common_names(cls) -> List[str]:
+        """The options of the pipeline that all scenes may share."""
+        return [name for name in PipelineOptions.names() if name not in (*cls.OF_ONE, *cls.PLACES)]
+
+    @classmethod
+    def column_names(cls) -> List[str]:
+        """The options that a table may have columns for."""
+        return [*cls.OF_ONE, *(name for name in cls.common_names() if name not in cls.MACHINE)]
+
+    @classmethod
+    def names(cls) -> List[str]:
+        return [*cls.OWN, *cls.common_names()]
+
+    @classmethod
+    def owner_of(cls, name: str) -> Type[Options]:
+        return cls if name in cls.OWN else PipelineOptions.owner_of(name)
+
+    @classmethod
+    def option(cls, name: str) -> "dataclasses.Field[Any]":
+        return super().option(name) if name in cls.OWN else PipelineOptions.option(name)
+
+    @classmethod
+    def _of(cls, values: JsonMapping, **set_here: object) -> "BatchOptions":
+        common = {name: value for name, value in values.items() if name not in cls.OWN}
+        return super()._of({name: value for name, value in values.items() if name in cls.OWN}, common=common)
 
 
 @dataclass(frozen=True)

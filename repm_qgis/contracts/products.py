@@ -61,6 +61,7 @@ STYLES = (
     Style("tie_points", off=True),
     Style("tiles", off=True),
     Style("footprints"),
+    Style("scenes"),
     Style("overlaps", off=True),
     Style("error", off=True),
     Style("dsm_error", "diverging", template="ramp", unit=" m"),
@@ -218,6 +219,8 @@ _BUILDINGS = "Outlines with straight walls; height above the ground with its err
 _CITYJSON = "Closed solids of the buildings for 3-D programs: blocks, and roofs where the DSM shows them."
 _EDITED = "The DSM with all edits that are enabled, as a GeoTIFF; the original stays as it is."
 _EDITED_CONFIDENCE = 'The confidence raster, in which edited heights have the source "edited" and no expected error.'
+_MANY = "A folder for one folder a scene, with its DSM and report; a second run there does what is left to do."
+_SCENE_FOOTPRINTS = "The outline of each scene, with its verdict, its figures, and links to its report and its DSM."
 _REPORTS = {
     "inspect": "Report of the images",
     "epmfit": "Report of the cameras",
@@ -225,6 +228,7 @@ _REPORTS = {
     "register": "Report of the registration",
     "dsmfuse": "Report of the DSM",
     "pipeline": "Report of the run",
+    "batch": "Report of all scenes",
     "mosaic": "Report of the mosaic",
     "dtm": "Report of the terrain",
     "buildings": "Report of the buildings",
@@ -278,6 +282,9 @@ PRODUCTS = (
     Product("dsmfuse", "view_heights", "DSM of each pair alone", FOLDER, help=_PAIRS),
     Product("dsmfuse", "viewer", "Surface in the browser (3-D)", FILE, filter=_HTML, help=_VIEWER),
     Product("dsmfuse", "stac", "STAC item for catalogues", FILE, filter="STAC (*.json)", help=_STAC),
+    Product("batch", "output", "Footprints of the scenes", POLYGONS, UNLESS_SKIPPED, "scenes", help=_SCENE_FOOTPRINTS),
+    Product("batch", "workspace", "Workspace of all scenes", FOLDER, ALWAYS, help=_MANY),
+    Product("batch", "mosaic", "Mosaic of the DSMs", RASTER, style="dsm", layer="DSM mosaic", help=_MOSAIC, tiled=True),
     Product("mosaic", "output", "DSM", RASTER, ALWAYS, "dsm", "DSM mosaic", help=_MOSAIC, tiled=True),
     Product(
         "mosaic", "sources", "Sources of the mosaic", RASTER, style="sources", help=_SOURCES, tiled=True, several=True
@@ -385,7 +392,7 @@ _NAMES = {
 """What products of one name in several stages are called after, where they lie in the workspace. The engine's own
 ``tiles.gpkg`` and ``report.html`` are those of the last run, and are replaced by the next."""
 _KINDS = {
-    **{"editdsm": "edited", "comparedsm": "comparison", "checkgcps": "points"},
+    **{"batch": "scenes", "editdsm": "edited", "comparedsm": "comparison", "checkgcps": "points"},
     **{"exportcameras": "cameras", "exportrpc": "rpcs"},
 }
 """What all other stages call their products, where that is not their own name."""

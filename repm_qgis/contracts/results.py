@@ -280,6 +280,52 @@ class PipelineResult(FusedSurface):
 
 
 @dataclass(frozen=True)
+class SceneOutcome(Result):
+    """What became of one of many scenes: its ``verdict`` is that of its report (``good``, ``look``, ``doubt``) or
+    ``failed``, with the ``error``; ``le90_m`` is the median of its heights' LE90, ``height_deviation_m`` the stated
+    standard deviation of its absolute height, None where they are not known."""
+
+    scene: str
+    verdict: str
+    error: str
+    findings: Tuple[str, ...]
+    reused: bool
+    seconds: float
+    dsm: Path
+    report: Path
+    images: int
+    pairs: int
+    taken: Tuple[str, ...]
+    valid_percent: Figure
+    resolution: Figure
+    vertical_datum: Optional[str]
+    le90_m: Figure
+    height_deviation_m: Figure
+
+
+@dataclass(frozen=True)
+class BatchResult(Result):
+    """Of :mod:`repm_qgis.stages.batch`."""
+
+    workspace: str
+    output: Path
+    report: Path
+    mosaic: Path
+    scenes: Annotated[
+        Tuple[SceneOutcome, ...],
+        Meaning(
+            "for each scene its `verdict` (`good`, `look`, `doubt` or `failed`), `findings` or `error`, figures, "
+            "`dsm` and `report`"
+        ),
+    ]
+    dsms: Annotated[Tuple[str, ...], Meaning("the DSMs, for models", "DSMs", LAYERS)]
+    n_scenes: Annotated[int, Meaning("number of scenes", "Number of scenes")]
+    n_failed: Annotated[int, Meaning("scenes without a DSM", "Scenes that failed")]
+    n_reused: Annotated[int, Meaning("scenes that an earlier run had completed", "Scenes that were complete before")]
+    seconds: Seconds
+
+
+@dataclass(frozen=True)
 class DsmOffset(Result):
     """What a mosaic added to the heights of one DSM, m, with its standard deviation."""
 

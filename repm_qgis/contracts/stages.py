@@ -33,6 +33,7 @@ RECONSTRUCT = Stage("reconstruct", options.ReconstructOptions, results.Reconstru
 REGISTER = Stage("register", options.RegisterOptions, results.RegisterResult)
 DSMFUSE = Stage("dsmfuse", options.DsmFuseOptions, results.DsmFuseResult)
 PIPELINE = Stage("pipeline", options.PipelineOptions, results.PipelineResult)
+BATCH = Stage("batch", options.BatchOptions, results.BatchResult)
 MOSAIC = Stage("mosaic", options.MosaicOptions, results.MosaicResult)
 DTM = Stage("dtm", options.DtmOptions, results.DtmResult)
 BUILDINGS = Stage("buildings", options.BuildingsOptions, results.BuildingsResult)
@@ -59,6 +60,7 @@ STAGES: Dict[str, Stage[Any]] = {
         REGISTER,
         DSMFUSE,
         PIPELINE,
+        BATCH,
         MOSAIC,
         DTM,
         BUILDINGS,

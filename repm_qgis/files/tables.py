@@ -109,6 +109,7 @@ class CsvTable:
                 self._delimiter = stated[1]
             elif self._delimiter not in head:
                 self._delimiter = " "
+            self.surplus = False  # whether the last row has texts beyond the fields
             self.fields = [(name or "").strip().lower() for name in next(self._reader(iter([head])), [])]
 
     def rows(self) -> Iterator[Tuple[int, Mapping[str, object]]]:
@@ -122,6 +123,7 @@ class CsvTable:
             for _ in range(self._first):
                 next(reader, None)
             for line, row in enumerate((row for row in reader if row), start=self._first + 1):
+                self.surplus = any(row[len(self.fields) :])
                 texts = [text[1:] if text and _QUOTED.match(text) else text for text in row]
                 values = dict(zip(self.fields, texts + [None] * (len(self.fields) - len(texts))))
                 yield line, values if self._delimiter == "," else decimals.with_points(line, values)
@@ -164,7 +166,7 @@ class _Sentences:
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         if isinstance(error, (OSError, UnicodeDecodeError, csv.Error)):
-            text = f"Cannot read the points of '{self._path}' ({error}): give a CSV file in UTF-8."
+            text = f"Cannot read the table '{self._path}' ({error}): give a CSV file in UTF-8."
             raise InputTableError(text) from error
 
 

@@ -22,8 +22,8 @@ from .untrusted import VECTORS, drivers_for, refusal_of
 
 _MOST_POLYGONS = 100_000
 _MARK = "Written by REPM"  # the description of layers of ours in GeoPackages
-Features = Iterable[Tuple[ogr.Geometry, Sequence[object]]]
-"""Geometries with their values, in the order of the fields; None leaves a field empty."""
+Features = Iterable[Tuple[Optional[ogr.Geometry], Sequence[object]]]
+"""Geometries, None for a feature without, with their values, in the order of the fields; None leaves a field empty."""
 _TYPES = {str: ogr.OFTString, int: ogr.OFTInteger, float: ogr.OFTReal}
 
 
@@ -248,12 +248,13 @@ def _fill(target: Path, crs: str, geometry_type: int, fields: Mapping[str, type]
         count = 0
         for geometry, values in features:
             feature = ogr.Feature(layer.GetLayerDefn())
-            feature.SetGeometry(geometry)
+            if geometry is not None:
+                feature.SetGeometry(geometry)
             for index, value in enumerate(values):
                 if value is not None:
                     feature.SetField(index, value)
             _see(layer.CreateFeature(feature) == 0)
-            feature, count = None, count + 1
+            feature, count = None, count + (geometry is not None)
         _see(layer.CommitTransaction() == 0)
         gdal.ErrorReset()
     finally:  # an exception keeps references to objects on its way, and Windows removes no open file

@@ -26,7 +26,7 @@ from ..rpc.readers import beside, files_in_folder, product_of, rpc_of
 from ..runtime.progress import Progress, counted, listed
 from .bands import intensity_bands
 from .raster import opened
-from .stac import items_of
+from .stac import StacItem, items_of
 
 T = TypeVar("T", EpmFitOptions, InspectOptions)
 
@@ -61,13 +61,21 @@ def delivered(named: Sequence[str]) -> Delivery:
         if not is_delivery(path):
             images.append(whole_of(path))
             continue
-        own = _rpcs_of_items(path) if is_catalogue(path) else None
+        own = _rpcs_of_items(items_of(path)) if is_catalogue(path) else None
         rpcs.update(own or {})
         greys, colours = _inside(path) if own is None else _usable(path, list(own), own)
         images += greys or colours
         xs += colours if greys else []
     each = tuple(dict.fromkeys(images))
     return Delivery(each, tuple(rpcs.get(image, "") for image in each), tuple(dict.fromkeys(xs)))
+
+
+def delivered_item(path: str, item: StacItem) -> Delivery:
+    """The images of one item, of those that a STAC file holds or links to; raises ImageError where none has an RPC."""
+    own = _rpcs_of_items([item])
+    greys, colours = _usable(path, list(own), own)
+    images = greys or colours
+    return Delivery(tuple(images), tuple(own[image] for image in images), tuple(colours if greys else ()))
 
 
 def with_images(options: T, progress: Progress) -> T:
@@ -143,10 +151,10 @@ def _inside(path: str) -> Tuple[List[str], List[str]]:
     return _usable(path, list(whole), {})
 
 
-def _rpcs_of_items(path: str) -> Dict[str, str]:
-    """The images of a STAC item or catalogue, with their RPC files, "" where it names none."""
+def _rpcs_of_items(items: Sequence[StacItem]) -> Dict[str, str]:
+    """The images of STAC items, with their RPC files, "" where these name none."""
     found: Dict[str, str] = {}
-    for item in items_of(path):
+    for item in items:
         for image in item.images:
             alike = [rpc for rpc in item.rpcs if Path(image).stem.lower() in Path(rpc).stem.lower()]
             several = item.rpcs[0] if len(item.rpcs) == 1 else ""

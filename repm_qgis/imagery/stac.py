@@ -10,7 +10,8 @@ import json
 import os
 import re
 from dataclasses import dataclass
-from typing import Dict, Iterator, List, Mapping, Sequence, Tuple
+from itertools import islice
+from typing import Dict, Iterator, List, Mapping, Sequence, Tuple, Union
 from urllib.parse import unquote
 
 from ..contracts.errors import ImageError, RpcError
@@ -41,24 +42,47 @@ def items_of(path: str) -> List[StacItem]:
 
     Raises ImageError for a file that is no STAC, or names files on the network.
     """
-    found = list(_items(path, 0))
+    return [_item(file, feature) for file, feature in _features_of(path)[:_MOST_ITEMS]]
+
+
+def named_items(path: str) -> List[Tuple[str, Union[StacItem, ImageError]]]:
+    """The ids of the items that a file is, holds or links to, each with its item, or with what is wrong with it.
+
+    Raises ImageError for a file that is no STAC, and for more items than this program takes.
+    """
+    named: List[Tuple[str, Union[StacItem, ImageError]]] = []
+    features = _features_of(path)
+    if len(features) > _MOST_ITEMS:
+        raise ImageError(f"'{path}' has more than {_MOST_ITEMS} items: choose a catalogue of fewer.")
+    for file, feature in features:
+        name = str(feature.get("id") or os.path.splitext(os.path.basename(file))[0])
+        try:
+            named.append((name, _item(file, feature)))
+        except ImageError as error:
+            named.append((name, error))
+    return named
+
+
+def _features_of(path: str) -> List[Tuple[str, Dict[str, object]]]:
+    found = list(islice(_features(path, 0), _MOST_ITEMS + 1))
     if not found:
         raise ImageError(
             f"'{path}' is no STAC item, and links to none: choose an item's file, or the images themselves."
         )
-    return found[:_MOST_ITEMS]
+    return found
 
 
-def _items(path: str, depth: int) -> Iterator[StacItem]:
+def _features(path: str, depth: int) -> Iterator[Tuple[str, Dict[str, object]]]:
+    """Items as they stand in files, each with its file."""
     document = _document(path)
     features = document.get("features") if document.get("type") == "FeatureCollection" else [document]
     for feature in features if isinstance(features, list) else []:
         if isinstance(feature, dict) and feature.get("type") == "Feature" and "stac_version" in feature:
-            yield _item(path, feature)
+            yield path, feature
     links = document.get("links") if document.get("type") in ("Collection", "Catalog") else None
     for link in links[:_MOST_ITEMS] if isinstance(links, list) and depth < _DEEPEST else []:
         if isinstance(link, dict) and link.get("rel") in ("item", "child"):
-            yield from _items(_local(path, str(link.get("href", ""))), depth + 1)
+            yield from _features(_local(path, str(link.get("href", ""))), depth + 1)
 
 
 def _item(path: str, feature: Mapping[str, object]) -> StacItem:

@@ -31,6 +31,17 @@ _MOST_ROWS = 300
 _SHOWN_PX = 800  # of a picture's longer side on the page, about, in whole pixels of the picture
 
 
+class Link(str):
+    """A table's cell that leads to another file, at an address from the page on."""
+
+    href: str
+
+    def __new__(cls, text: str, href: str) -> Link:
+        link = super().__new__(cls, text)
+        link.href = href
+        return link
+
+
 def number(value: object) -> str:
     """Write a value for a reader: floats with as many decimals as their size needs, None and NaN as a dash.
 
@@ -39,7 +50,9 @@ def number(value: object) -> str:
     """
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if value is None or isinstance(value, (str, numbers.Integral)):
+    if isinstance(value, str):
+        return value
+    if value is None or isinstance(value, numbers.Integral):
         return "–" if value is None else str(value)
     try:
         real = float(value)  # type: ignore[arg-type]

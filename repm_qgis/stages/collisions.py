@@ -90,7 +90,7 @@ def _files(name: str, path: str, stage: str) -> List[str]:
     """The files that an input consists of."""
     if name in ("scene", "scenes"):
         return _files_of_scene(path, stage)
-    if name in ("gcps", "profiles", "rpcs", "edits", "areas"):
+    if name in ("table", "gcps", "profiles", "rpcs", "edits", "areas"):
         return [file_and_layer(path)[0]]
     return files_of(path) + (rpc_sidecars(path) if name in ("images", "xs") else [])
 

@@ -9,8 +9,11 @@ import math
 from dataclasses import replace
 from typing import Optional
 
+from ..batch.scenes import scenes_of
 from ..contracts.errors import OptionError
+from ..contracts.file_kinds import is_catalogue
 from ..contracts.options import (
+    BatchOptions,
     CheckGcpsOptions,
     DsmFuseOptions,
     ExportRpcOptions,
@@ -33,12 +36,15 @@ _SAMPLE_BYTES = {"urban": 450.0, "mountains": 180.0}  # memory for each px of a 
 
 
 def require_sensible(options: Options, parameters: EngineParameters = ENGINE) -> None:
-    """Raise OptionError for cells that are absurd for the images, MissingPackageError for a geoid without its grid.
+    """Raise OptionError for cells that are absurd for the images, MissingPackageError for a geoid without its grid, and
+    InputTableError for a table of scenes that has what no scene can have.
 
     Whatever reading images and RPCs raises is raised, too.
     """
     if isinstance(options, SampleDataOptions):
         _require_memory(options)
+    if isinstance(options, BatchOptions) and not is_catalogue(options.table or ""):  # whose images would be opened
+        scenes_of(options)
     seen = _ground_shown(options, parameters.tiles)
     if seen is None:
         return

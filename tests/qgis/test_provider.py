@@ -28,6 +28,11 @@ PARAMETERS = {
     "COLOUR XS PANSHARPEN CLOUD_NORMALS CLUSTER OUTPUT CONFIDENCE ORTHO WATER_MASK CLOUD EPT MESH VIEW_HEIGHTS "
     "VIEWER STAC REPORT",
     "mosaic": "DSMS SCENES FIXED RESOLUTION CRS CONFIDENCES CLUSTER OUTPUT SOURCES REPORT",
+    "batch": "FOLDER TABLE PRODUCTS REFERENCE RESOLUTION VERTICAL_DATUM PRESET QUALITY ORTHO_READY_HEIGHT CRS EXTENT "
+    "DEM ALTITUDE_MIN ALTITUDE_MAX GCP_DATUM REFERENCE_DATUM STABLE TILE_SIZE ERROR_BUDGET MODEL ORDER PAIRS "
+    "MATCHING_COST POINTING ADJUSTMENT BACKEND GEOMETRIC COLMAP_FUSION WINDOW_RADIUS GPU_MEMORY METHOD FILL WATER "
+    "OUTLIER_RADIUS MESH_VERTICES ORTHO_RESOLUTION COLOUR PANSHARPEN CLOUD_NORMALS CLUSTER WORKSPACE OUTPUT "
+    "MOSAIC REPORT",
     "pipeline": "IMAGES EXTENT GCPS REFERENCE RESOLUTION VERTICAL_DATUM PRESET QUALITY RPCS MASKS ORTHO_READY_HEIGHT "
     "CRS DEM ALTITUDE_MIN ALTITUDE_MAX GCP_DATUM REFERENCE_DATUM STABLE TILE_SIZE ERROR_BUDGET MODEL ORDER "
     "PAIRS MATCHING_COST POINTING ADJUSTMENT BACKEND GEOMETRIC COLMAP_FUSION WINDOW_RADIUS GPU_MEMORY METHOD FILL "
@@ -57,6 +62,7 @@ OUTPUTS = {
     "register": "OUTPUT_SCENE DIFFERENCES OFFSETS REPORT EAST NORTH UP EAST_DEVIATION NORTH_DEVIATION UP_DEVIATION",
     "dsmfuse": "OUTPUT CONFIDENCE ORTHO WATER_MASK CLOUD EPT MESH VIEW_HEIGHTS VIEWER STAC REPORT VALID_PERCENT",
     "mosaic": "OUTPUT SOURCES REPORT VALID_PERCENT SEAM",
+    "batch": "WORKSPACE OUTPUT MOSAIC REPORT DSMS N_SCENES N_FAILED N_REUSED",
     "pipeline": "OUTPUT SCENE REPORT TILES TIE_POINTS CONFIDENCE ORTHO WATER_MASK CLOUD EPT MESH VIEW_HEIGHTS VIEWER "
     "STAC WORKSPACE N_TIE_POINTS VALID_PERCENT",
     "dtm": "OUTPUT HEIGHTS MASK REPORT OBJECTS_PERCENT VALID_PERCENT",
@@ -111,7 +117,8 @@ def test_every_parameter_is_an_option_of_the_engine_with_its_default(plugin, nam
         default = STAGES[name].options.option(option).default
         if definition.isDestination() or default is dataclasses.MISSING or definition.name() == "THRESHOLDS":
             continue
-        assert definition.defaultValue() == (None if default == () else default), f"{name}.{option}"
+        default = (list(default) or None) if isinstance(default, tuple) else default  # as Qt has it
+        assert definition.defaultValue() == default, f"{name}.{option}"
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
@@ -140,6 +147,7 @@ def test_the_toolbox_shows_the_order_of_the_work(provider):
         "inspect",
         "pipeline",
         "dsm_by_stages",
+        "batch",
         *("comparedsm", "checkgcps", "viewer", "change", "series", "tiles3d"),
         *("editdsm", "dtm", "dsm_to_map", "buildings", "mosaic"),
         "epmfit",

@@ -168,7 +168,7 @@ def test_too_much_and_nothing(table, tmp_path, monkeypatch):
     monkeypatch.setattr(points, "_LIMITS", points.Limits(10, 2, "fewer"))
     with pytest.raises(InputTableError, match="at most 0 MiB: choose fewer"):
         table(degrees())
-    with pytest.raises(InputTableError, match="Cannot read the points of .*: give a CSV file in UTF-8"):
+    with pytest.raises(InputTableError, match="Cannot read the table .*: give a CSV file in UTF-8"):
         read_points_of_table(str(tmp_path / "missing.csv"), UTM, BOUNDS)
 
 
