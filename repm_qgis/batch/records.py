@@ -7,16 +7,17 @@ in its own folder only.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Dict, List, Mapping, Optional, Sequence, Tuple, Type, TypeVar
+from typing import Dict, List, Optional, Sequence, Tuple, Type, TypeVar
 
 from ..contracts.checks import Misfit
-from ..contracts.documents import JsonMapping, JsonObject
+from ..contracts.documents import JsonMapping
 from ..contracts.findings import Finding
-from ..contracts.options import BatchOptions, PipelineOptions
+from ..contracts.options import BatchOptions, Options, PipelineOptions
 from ..contracts.record import Record
 from ..contracts.results import SceneOutcome
 from ..geometry.footprints import bounds_of_wkt
@@ -28,7 +29,8 @@ from ..rpc.readers import rpc_sidecars
 from ..runtime.workspace import file_identity, fingerprint, write_text
 
 _MOST_BYTES = 4 << 20
-_NOT_COMPARED = {*BatchOptions.PLACES, *BatchOptions.MACHINE}
+_CHAIN = ("scene", "output_scene")  # by which the pipeline chains its stages
+_NOT_COMPARED = {"images", *_CHAIN, *BatchOptions.PLACES, *BatchOptions.MACHINE}
 K = TypeVar("K", bound="Kept")
 
 
@@ -93,27 +95,31 @@ def files_in(folder: str, names: Sequence[str]) -> Dict[str, Tuple[int, int]]:
 
 
 def scene_key(job: JsonMapping) -> str:
-    """The fingerprint of a scene's inputs and options; what computes and where it writes are no part of it.
+    """The fingerprint of a scene's inputs and options; what computes, where it writes and which defaults are given are
+    no part of it.
 
-    Raises ImageError where its images cannot be found.
+    Raises OptionError for a job that is none, ImageError where its images cannot be found.
     """
-    images = delivered([str(path) for path in job["images"]])
-    wanted: JsonObject = {name: value for name, value in job.items() if name not in _NOT_COMPARED}
-    beside = [multispectral_beside(image) for image in images.images]
+    options = PipelineOptions.from_json(job)
+    images = delivered(options.fit.images)
+    wanted = [
+        [type(part).__name__, each.name, getattr(part, each.name)]
+        for part in options.parts()
+        for each in dataclasses.fields(part)
+        if each.name not in _NOT_COMPARED and not isinstance(getattr(part, each.name), Options)
+    ]
     products = sorted(name for name in BatchOptions.PLACES if job.get(name))
-    return fingerprint(
-        "batch", wanted, images.images, products, *_identities([*images.images, *images.xs, *beside], job)
-    )
+    beside = [multispectral_beside(image) for image in images.images]
+    files = _identities([*images.images, *images.xs, *beside], options)
+    return fingerprint("batch", wanted, images.images, products, *files)
 
 
-def _identities(images: Sequence[str], job: Mapping[str, object]) -> List[object]:
+def _identities(images: Sequence[str], options: PipelineOptions) -> List[object]:
     """Those of all files that a scene reads: images with what belongs to them, and whatever its options name."""
     found: List[object] = []
     for image in filter(None, images):
         sidecars = [*rpc_sidecars(image), *time_sidecars(image)]
         found += [raster_identity(image), *map(file_identity, dict.fromkeys(sidecars))]
-    for name, value in job.items():
-        if name != "images" and PipelineOptions.option(name).metadata.get("read"):
-            given = value if isinstance(value, (list, tuple)) else [value]
-            found += [file_identity(str(path).split("|")[0]) for path in given if path]
+    named = [path for name, path in options.read_paths() if name not in ("images", *_CHAIN)]
+    found += [file_identity(path.split("|")[0]) for path in dict.fromkeys(named)]
     return found

@@ -190,9 +190,17 @@ def test_a_scene_s_key_changes_with_what_it_is_made_from_alone(sites, tmp_path):
     mask, table = tmp_path / "mask.tif", tmp_path / "gcps.csv"
     for path in (mask, table):
         path.write_text("1")
-    job = {"images": [str(tmp_path / "pair")], "masks": [str(mask), ""], "gcps": str(table), "workspace": "a"}
+    job = {
+        "images": sorted(map(str, (tmp_path / "pair").iterdir())),
+        "masks": [str(mask), ""],
+        "gcps": str(table),
+        "workspace": "a",
+    }
+    job["output"] = "a/dsm.tif"
     keys = [scene_key(job)]
-    assert scene_key({**job, "workspace": "b", "workers": 3, "memory": 9, "cluster": "tcp://x:1"}) == keys[0]
+    elsewhere = {"workspace": "b", "output": "b/dsm.tif", "workers": 3, "memory": 9, "cluster": "tcp://x:1"}
+    for same in (elsewhere, {"fill": "occlusions", "resolution": 0.0, "dem": None, "preset": "none"}):
+        assert scene_key({**job, **same}) == keys[0]  # QGIS gives each default, commands none
     for path in (table, mask, next((tmp_path / "pair").iterdir())):
         os.utime(path, ns=(1, 1))
         keys.append(scene_key(job))
