@@ -17,7 +17,7 @@ from qgis.core import QgsApplication
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 NAMES = sorted(path.stem for path in (ROOT / "docs" / "algorithms").glob("*.md"))
-IN_ORDER = "environment sampledata inspect epmfit errormap refine exportcameras reconstruct exportrpc".split()
+IN_ORDER = "environment sampledata batch inspect epmfit errormap refine exportcameras reconstruct exportrpc".split()
 IN_ORDER += ["register", "dsmfuse", "pipeline", "comparedsm", "checkgcps", "mosaic", "viewer", "tiles3d", "dtm"]
 IN_ORDER += ["editdsm", "change", "series", "buildings"]
 
