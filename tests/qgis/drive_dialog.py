@@ -107,6 +107,13 @@ def places():
     found["beside"] = [given["OUTPUT"].sink.staticValue(), given["HEIGHTS"].sink.staticValue(), given["REPORT"]]
     found["terrain"] = line_of(panel, "OUTPUT").placeholderText()
     dialog.close()
+    dialog = opened("batch")
+    panel = dialog.mainWidget()
+    panel.setParameters({"FOLDER": os.path.dirname(PLAN["images"][0])})
+    given = panel.createProcessingParameters()
+    found["many"] = [given["WORKSPACE"], given["OUTPUT"].sink.staticValue(), given["REPORT"], given["PRODUCTS"]]
+    picture(dialog, "batch.png")
+    dialog.close()
     return {**found, "workspaces": workspaces}
 
 

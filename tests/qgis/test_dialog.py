@@ -40,6 +40,8 @@ def test_dialogs_offer_what_is_known_and_hide_what_does_not_matter(desktop_start
     beside = [os.path.join(os.path.dirname(sample.truth), name) for name in ("truth_dtm.tif", "truth_dtm_heights.tif")]
     assert places["beside"][:2] == beside
     assert places["beside"][2].startswith(os.path.join(os.path.dirname(sample.truth), "trees"))
+    many = folder.parent / "repm" / folder.name
+    assert places["many"] == [str(many), f"{many}/scenes.gpkg", f"{many}/scenes_report.html", ["confidence"]]
     assert places["terrain"] == f"[Save in {pathlib.Path(sample.truth).parent.name}]"
     # COLMAP's options are on the options page, and come to the dialog where a run's value is another one.
     assert (found["usual"], found["differs"], found["given"]) == ([], ["WINDOW_RADIUS"], 7)

@@ -284,6 +284,20 @@ def test_a_lost_cluster_ends_the_run(options, told, tmp_path, monkeypatch):
     assert [job["cluster"] for job in jobs] == ["tcp://127.0.0.1:1"]
 
 
+@pytest.mark.slow
+def test_the_workers_of_a_cluster_give_the_same_bytes(first, options, told, tmp_path):
+    pytest.importorskip("distributed")
+    from tests.engine.local_cluster import Cluster
+
+    cluster = Cluster(tmp_path, 2)
+    try:
+        given = {**options, "workspace": str(tmp_path / "ws"), "cluster": cluster.address}
+        result = run_stage("batch", given, told())
+    finally:
+        cluster.end()
+    assert [bytes_of(path) for path in result.dsms] == list(first[2].values())
+
+
 def test_a_mosaic_of_what_was_made_is_made_once(urban, told, tmp_path, monkeypatch):
     xmin, ymin, xmax, ymax = urban.bounds
     x, y = (xmin + xmax) / 2, (ymin + ymax) / 2
