@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-from qgis.core import QgsProcessingParameterEnum, QgsProcessingParameterFile
+import os
+
+from qgis.core import (
+    QgsProcessingContext,
+    QgsProcessingFeedback,
+    QgsProcessingParameterEnum,
+    QgsProcessingParameterFile,
+)
 
 from ..repm_qgis.contracts.documents import JsonMapping, JsonObject
 from ..repm_qgis.contracts.options import BATCH_PRODUCTS, BatchOptions
 from . import parameters
+from .last_scene import remember_workspace
 from .pipeline import Pipeline
+
+_MOST_REMEMBERED = 20  # of the scenes, so that workspaces of other runs stay in the panel
 
 
 class Batch(Pipeline):
@@ -71,6 +81,18 @@ class Batch(Pipeline):
 
     def complete(self, options: JsonObject) -> JsonObject:
         return options
+
+    def processAlgorithm(
+        self, parameters: JsonMapping, context: QgsProcessingContext, feedback: QgsProcessingFeedback
+    ) -> JsonObject:
+        made = super().processAlgorithm(parameters, context, feedback)
+        self._folders = [os.path.dirname(dsm) for dsm in made["DSMS"]]
+        return made
+
+    def postProcessAlgorithm(self, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> JsonObject:
+        for folder in reversed(self._folders[:_MOST_REMEMBERED]):  # which the panel of scenes shows, the first on top
+            remember_workspace(folder)
+        return super().postProcessAlgorithm(context, feedback)
 
     def _scene_name(self, options: JsonMapping) -> str:
         from ..repm_qgis.names import folder_name

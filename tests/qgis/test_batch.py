@@ -46,6 +46,24 @@ def test_many_scenes_from_the_command_line(headless, sites, tmp_path):
     assert layer.editorWidgetSetup(field).type() == "ExternalResource" and "report" in layer.mapTipTemplate()
 
 
+def test_the_panel_of_scenes_knows_the_folders_afterwards(plugin, context, sites, tmp_path, monkeypatch):
+    import processing
+    from repm.processing_provider import batch, last_scene
+
+    outcome = {"workspace": "", "output": None, "report": None, "mosaic": None, "scenes": [], "seconds": 1.0}
+    counts = {"n_scenes": 3, "n_failed": 1, "n_reused": 0}
+    dsms = [str(tmp_path / name / "dsm.tif") for name in ("a", "b")]
+
+    class Result:
+        def to_mapping(self):
+            return {**outcome, **counts, "dsms": dsms}
+
+    monkeypatch.setattr(batch.Batch, "run_stage", lambda *arguments: Result())
+    made = processing.run("repm:batch", {"FOLDER": str(sites), "WORKSPACE": str(tmp_path / "ws")})
+    assert made["DSMS"] == dsms and made["N_FAILED"] == 1
+    assert last_scene.workspaces()[:2] == [str(tmp_path / "a"), str(tmp_path / "b")]
+
+
 def test_bad_tables_are_one_sentence_before_the_run(plugin, context, sites, tmp_path):
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:batch")
     table = tmp_path / "sites.csv"
