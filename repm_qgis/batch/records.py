@@ -98,7 +98,7 @@ def scene_key(job: JsonMapping) -> str:
     """The fingerprint of a scene's inputs and options; what computes, where it writes and which defaults are given are
     no part of it.
 
-    Raises OptionError for a job that is none, ImageError where its images cannot be found.
+    Raises OptionError for a bad option, ImageError where its images cannot be found.
     """
     options = PipelineOptions.from_json(job)
     images = delivered(options.fit.images)
