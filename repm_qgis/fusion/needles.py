@@ -41,8 +41,8 @@ def needles(
     cv2.filterSpeckles(left, _NONE, largest, most)
     small = known & (left == _NONE)
     low, high = extremes(height, known, parameters.around_cells)
-    with np.errstate(invalid="ignore"):
-        far = small & (np.maximum(height - low, high - height) > parameters.slender * cell)
+    apart = np.where(small, np.maximum(height - low, high - height), np.float32(0))
+    far = apart > parameters.slender * cell
     result = np.zeros(height.shape, bool)
     if not far.any():
         return result
@@ -51,11 +51,17 @@ def needles(
     labels = _components(steps.astype(np.int64), small, most)
     places = ndimage.find_objects(labels)
     by = parameters.around_cells
-    for label in np.unique(labels[far]):
+    # A cell beside what stands out is as far from it as that is slender: most components have none.
+    size = np.bincount(labels.ravel())
+    reach = np.zeros(size.size, apart.dtype)
+    np.maximum.at(reach, labels[far], apart[far])
+    lone = reach > parameters.slender * cell * np.sqrt(size)
+    lone[labels[np.nan_to_num(count) >= 2]] = False
+    lone[0] = False
+    for label in np.flatnonzero(lone):
         near = tuple(slice(max(side.start - by, 0), side.stop + by) for side in places[label - 1])
         own = labels[near] == label
-        lone = np.nan_to_num(count[near][own]).max() < 2
-        if lone and _stands_out(own, height[near], cell, parameters):
+        if _stands_out(own, height[near], cell, parameters):
             result[near] |= own
     return result
 
