@@ -49,6 +49,7 @@ from ..repm_qgis.contracts.documents import JsonMapping
 from ..repm_qgis.contracts.options import PRESETS
 from .arrival import bring_into_sight
 from .next_step import STEPS, push_message
+from .preview import PREVIEWED, of_preview, preview_button
 
 _OF_SETTINGS = (*settings.COLMAP, "CLUSTER")  # the options page has these, for all runs
 _FOLDERS = set("/\\:")
@@ -58,7 +59,10 @@ _LEAST_GROUPS = 3  # at least so many parameters below a heading
 class Dialog(AlgorithmDialog):
     """Processing's dialog with our panel in it."""
 
+    _previews = False  # what runs is a preview
+
     def getParametersPanel(self, alg: QgsProcessingAlgorithm, parent: object) -> Panel:
+        self._preview_button = preview_button(self, self._preview) if alg.name() == PREVIEWED else None
         return Panel(parent, alg, self.in_place, self.active_layer)
 
     _given: Mapping[str, object] = {}  # of the last run
@@ -80,8 +84,32 @@ class Dialog(AlgorithmDialog):
         """Keeps the parameters of the run: the widgets may be changed before it ends."""
         self._given = {}
         with suppress(AlgorithmDialogBase.InvalidParameterValue):  # Processing says so itself
-            self._given = self.createProcessingParameters()
+            self._given = self.mainWidget().createProcessingParameters()
         super().runAlgorithm()
+
+    def _preview(self) -> None:
+        """Run the algorithm on reduced images, of all the ground that they show; the parameters here stay."""
+        self._previews = True
+        try:
+            self.runAlgorithm()
+        finally:
+            self._previews = False
+
+    def createProcessingParameters(self, *how: object, **named: object) -> dict[str, object]:
+        parameters = super().createProcessingParameters(*how, **named)
+        return of_preview(parameters) if self._previews else parameters
+
+    def blockAdditionalControlsWhileRunning(self) -> None:
+        super().blockAdditionalControlsWhileRunning()
+        self._enable_preview(False)
+
+    def resetAdditionalGui(self) -> None:
+        super().resetAdditionalGui()
+        self._enable_preview(True)
+
+    def _enable_preview(self, enabled: bool) -> None:
+        if self._preview_button is not None:
+            self._preview_button.setEnabled(enabled)
 
     def finish(self, successful: bool, result: JsonMapping, *more: object, **named: object) -> None:
         """Offers the next step on the map, and here as well, where this dialog stays open."""

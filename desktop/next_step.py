@@ -23,7 +23,7 @@ from qgis.core import (
 )
 from qgis.gui import QgisInterface, QgsMessageBar, QgsMessageBarItem
 from qgis.PyQt.QtCore import QCoreApplication, QSizeF, Qt
-from qgis.PyQt.QtWidgets import QPushButton, QTextBrowser
+from qgis.PyQt.QtWidgets import QPushButton, QTextBrowser, QWidget
 
 from ..processing_provider import last_scene
 from ..processing_provider.kept import is_lasting
@@ -34,6 +34,7 @@ from ..repm_qgis.contracts.options import DsmFuseOptions
 from ..repm_qgis.contracts.paths import real_path
 from ..repm_qgis.contracts.products import STYLES, products_of
 from ..repm_qgis.scene import is_registered
+from .preview import draw_area, taken_over
 
 _PATH = ("inspect", "pipeline", "dsmfuse", "comparedsm", "register")
 Button = tuple[str, Callable[[], object]]
@@ -52,6 +53,7 @@ class NextSteps:
         self._reference: list[str] = []
         self._fused: dict[str, tuple[JsonObject, dict[str, str]]] = {}
         """How the DSM of a scene, by its folder, was made: parameters, and products."""
+        self._given: JsonMapping = {}
         self._iface: QgisInterface = None
         self._bar: Optional[QgsMessageBar] = None
         self._shown: Optional[QgsMessageBarItem] = None
@@ -70,8 +72,9 @@ class NextSteps:
             return "", []
         named = {name: _paths(given.get(name)) for name in ("DSM", "SCENE", "REFERENCE")}
         self._reference = named["REFERENCE"] or self._reference
+        self._given = given
         scene = results.get("SCENE") if algorithm == "pipeline" else next(iter(named["SCENE"]), None)
-        if algorithm in ("pipeline", "dsmfuse") and scene:
+        if algorithm in ("pipeline", "dsmfuse") and scene and not results.get("OVERLAPS"):
             inputs = {name: given[name] for name in _fusion_inputs() if not is_empty(given.get(name))}
             names = (each.option.upper() for each in products_of("dsmfuse"))
             made = {name: str(results[name]) for name in names if is_lasting(os.path.dirname(results.get(name) or ""))}
@@ -90,7 +93,19 @@ class NextSteps:
         return _tr("The images are inspected.") if buttons else "", buttons, []
 
     def _after_pipeline(self, named: Mapping[str, list[str]], results: JsonMapping) -> Step:
+        if results.get("OVERLAPS"):
+            return self._after_preview(results)
         return self._of_a_dsm(results.get("SCENE"), results.get("OUTPUT"))
+
+    def _after_preview(self, results: JsonMapping) -> Step:
+        """The DSM with what a preview shows: its altitudes, and the images that matched."""
+        given = taken_over(self._given, results)
+        text = _tr("The preview is on the map.")
+        if "LOWEST" in results:
+            text = _tr("The preview is on the map: altitudes {low} to {high} m for the DSM.")
+            text = text.format(low=f"{results['LOWEST']:.0f}", high=f"{results['HIGHEST']:.0f}")
+        draw = (_tr("Draw the area on it…"), lambda: draw_area(self.open("pipeline", given)))
+        return text, [draw, (_tr("Make the DSM…"), lambda: self.open("pipeline", given))], []
 
     def _after_dsmfuse(self, named: Mapping[str, list[str]], results: JsonMapping) -> Step:
         return self._of_a_dsm(next(iter(named["SCENE"]), None), results.get("OUTPUT"))
@@ -178,12 +193,14 @@ class NextSteps:
             bring_out(layer_id)
             self.edit_dsm()
 
-    def open(self, algorithm: str, given: JsonMapping) -> None:
+    def open(self, algorithm: str, given: JsonMapping) -> QWidget:
         """Show the dialog of an algorithm with these values filled in."""
         import processing
 
         self.forget()
-        processing.createAlgorithmDialog(f"repm:{algorithm}", dict(given)).show()
+        dialog = processing.createAlgorithmDialog(f"repm:{algorithm}", dict(given))
+        dialog.show()
+        return dialog
 
     def begin_again(self) -> None:
         """Forget what was done in another project."""

@@ -1108,6 +1108,14 @@
         <source>Heights</source>
         <translation>Höhen</translation>
     </message>
+    <message>
+        <source>Preview</source>
+        <translation>Vorschau</translation>
+    </message>
+    <message>
+        <source>Show all the ground of these images at 8 times their ground sampling distance, in seconds</source>
+        <translation>In Sekunden das ganze Gelände dieser Bilder zeigen, mit achtmal so großen Pixeln</translation>
+    </message>
 </context>
 <context>
     <name>RepmInstall</name>
@@ -1240,6 +1248,22 @@
     <message>
         <source>The images are inspected.</source>
         <translation>Die Bilder sind geprüft.</translation>
+    </message>
+    <message>
+        <source>The preview is on the map.</source>
+        <translation>Die Vorschau liegt auf der Karte.</translation>
+    </message>
+    <message>
+        <source>The preview is on the map: altitudes {low} to {high} m for the DSM.</source>
+        <translation>Die Vorschau liegt auf der Karte: Höhen {low} bis {high} m für das DOM.</translation>
+    </message>
+    <message>
+        <source>Draw the area on it…</source>
+        <translation>Gebiet darauf zeichnen…</translation>
+    </message>
+    <message>
+        <source>Make the DSM…</source>
+        <translation>DOM erzeugen…</translation>
     </message>
     <message>
         <source>Is the DSM in the right place?</source>
@@ -1445,8 +1469,8 @@
         <translation>Voreinstellung</translation>
     </message>
     <message>
-        <source>Values that go together, for advanced parameters below; the dialog fills them in, and you can change each of them afterwards. city: walls and streets; mountains: a surface without holes; fast: a first look. In a command, a value that you give overrides the preset's.</source>
-        <translation>Werte, die zusammengehören, für erweiterte Parameter weiter unten; der Dialog trägt sie ein, und jeder kann danach geändert werden. city: Wände und Straßen; mountains: eine Oberfläche ohne Lücken; fast: ein erster Blick. In einem Befehl geht ein angegebener Wert dem der Voreinstellung vor.</translation>
+        <source>Values that go together, for advanced parameters below; the dialog fills them in, and you can change each of them afterwards. city: walls and streets; mountains: a surface without holes; fast: a first look; preview: reduced images, in seconds. In a command, a value that you give overrides the preset's.</source>
+        <translation>Werte, die zusammengehören, für erweiterte Parameter weiter unten; der Dialog trägt sie ein, und jeder kann danach geändert werden. city: Wände und Straßen; mountains: eine Oberfläche ohne Lücken; fast: ein erster Blick; preview: verkleinerte Bilder, in Sekunden. In einem Befehl geht ein angegebener Wert dem der Voreinstellung vor.</translation>
     </message>
     <message>
         <source>Area</source>
@@ -2197,6 +2221,18 @@
         <translation>Zellen mit Höhe (%)</translation>
     </message>
     <message>
+        <source>Images of the preview's pairs</source>
+        <translation>Bilder der Paare der Vorschau</translation>
+    </message>
+    <message>
+        <source>Lowest altitude for the DSM (m)</source>
+        <translation>Niedrigste Höhe für das DOM (m)</translation>
+    </message>
+    <message>
+        <source>Highest altitude for the DSM (m)</source>
+        <translation>Höchste Höhe für das DOM (m)</translation>
+    </message>
+    <message>
         <source>DSMs</source>
         <translation>DOM</translation>
     </message>
@@ -2448,6 +2484,10 @@
     <message>
         <source>Fast</source>
         <translation>Schnell</translation>
+    </message>
+    <message>
+        <source>Preview</source>
+        <translation>Vorschau</translation>
     </message>
     <message>
         <source>Default</source>

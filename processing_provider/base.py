@@ -34,6 +34,7 @@ from qgis.PyQt.QtGui import QIcon
 
 from ..repm_qgis.contracts import results
 from ..repm_qgis.contracts.documents import JsonMapping, JsonObject
+from ..repm_qgis.contracts.options import PREVIEW
 from ..repm_qgis.contracts.products import products_of
 from ..repm_qgis.contracts.results import PipelineResult, Result
 from ..repm_qgis.contracts.stages import STAGES, Stage
@@ -376,14 +377,21 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
                     title=tr(product.layer or product.title),
                     more=said(self._more(product.style, outputs[name], fields)),
                 )
+        self.show_more(context, outputs, kept_as, run)
         if isinstance(result, PipelineResult):
             feedback.pushInfo(
                 self.tr("Seconds: {stages}").format(
                     stages=", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result.seconds.items())
                 )
             )
-        self._scene = outputs.get("OUTPUT_SCENE") or outputs.get("SCENE")
+        lasts = options.get("preset") != PREVIEW  # the next stages take up the scene of a run
+        self._scene = (outputs.get("OUTPUT_SCENE") or outputs.get("SCENE")) if lasts else None
         return outputs
+
+    def show_more(
+        self, context: QgsProcessingContext, outputs: JsonMapping, kept_as: dict[str, str], run: styles.Run
+    ) -> None:
+        """Have layers loaded that are no products; ``kept_as`` is QGIS's word for each product."""
 
     def _more(self, style: str, path: str, fields: JsonMapping) -> str:
         """What a layer's name has behind its scene: the datum of heights; of an error map the view, the altitude, and
@@ -424,18 +432,19 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         from ..repm_qgis import names
         from ..repm_qgis.scene import is_registered
 
+        preset = ""
         scene, images, dsm = (options.get(name) for name in ("scene", "images", "dsm"))
         if scene:
             name, registered = names.scene_name(scene), is_registered(scene)
         elif images:
             name = names.run_name(options.get("workspace") or "", options.get("output") or "", images)
-            registered = bool(options.get("reference"))
+            registered, preset = bool(options.get("reference")), str(options.get("preset", ""))
         elif dsm:
             name, registered = names.surface_name(dsm), names.is_of_registered(dsm)
         else:
             return ""
         with written_in(language()):
-            return names.marked(name, registered)
+            return names.marked(name, registered, preset)
 
     def _days(self, options: JsonMapping, result: JsonMapping) -> list[str]:
         """The days on which the images of a run were taken, as far as they are known."""

@@ -18,6 +18,7 @@ from qgis.core import (
     QgsProperty,
 )
 
+from ..repm_qgis.contracts.options import PREVIEW
 from ..repm_qgis.contracts.products import OF_SCENES, SCENE, Product, products_of, stem_of
 from ..repm_qgis.names import images_name
 from ..repm_qgis.scene import origin
@@ -44,8 +45,10 @@ def in_workspace(
     """The parameters, with temporary products in the workspace where the user has named one: ``dsm.tif``, or
     ``dsm_2.tif`` where the first is taken, so that nothing is replaced that an earlier run has made. ``inputs`` are the
     engine's options."""
-    place = _place(algorithm, parameters, inputs, context) if algorithm.name() in OF_SCENES else ("", "")
-    places = _places(algorithm, parameters, *place)
+    folder, surface = _place(algorithm, parameters, inputs, context) if algorithm.name() in OF_SCENES else ("", "")
+    if folder and inputs.get("preset") == PREVIEW:
+        folder = os.path.join(folder, PREVIEW)
+    places = _places(algorithm, parameters, folder, surface)
     _promised.update(places.values())
     try:
         yield {**parameters, **{name: moved_to(path, parameters[name]) for name, path in places.items()}}

@@ -424,8 +424,8 @@ def preset() -> QgsProcessingParameterDefinition:
         tr("Preset"),
         tr(
             "Values that go together, for advanced parameters below; the dialog fills them in, and you can change each "
-            "of them afterwards. city: walls and streets; mountains: a surface without holes; fast: a first look. In a "
-            "command, a value that you give overrides the preset's."
+            "of them afterwards. city: walls and streets; mountains: a surface without holes; fast: a first look; "
+            "preview: reduced images, in seconds. In a command, a value that you give overrides the preset's."
         ),
     )
 

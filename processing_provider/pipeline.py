@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from typing import Mapping
 
+from qgis.core import QgsProcessingContext, QgsProcessingUtils
+
+from ..repm_qgis.contracts.documents import JsonMapping
 from ..repm_qgis.contracts.options import PRESETS
-from . import parameters
+from ..repm_qgis.contracts.results import PipelineResult
+from . import parameters, styles
 from .base import RepmAlgorithm
 from .values import command_line
 
@@ -51,6 +56,20 @@ class Pipeline(RepmAlgorithm):
         it."""
         preset = PRESETS.get(str(parameters.get("PRESET")), {})
         return {name for name in preset if name.upper() not in parameters}
+
+    def show_more(
+        self, context: QgsProcessingContext, outputs: JsonMapping, kept_as: dict[str, str], run: styles.Run
+    ) -> None:
+        """The layers of a preview, where its DSM is shown."""
+        if not context.willLoadLayerOnCompletion(kept_as.get("OUTPUT", "")):
+            return
+        for kind in ("footprints", "overlaps"):
+            path = outputs.get(kind.upper())
+            if path:
+                title = self.tr(PipelineResult.outputs()[kind].label)
+                style = os.path.splitext(path)[0] + ".qml"
+                hint = QgsProcessingUtils.LayerHint.Vector
+                styles.load_too(context, path, hint, run.name(title), kind, run, style)
 
     def complete(self, options: dict[str, object]) -> dict[str, object]:
         return {**options, "command": command_line(self.id(), options)}

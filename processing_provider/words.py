@@ -22,6 +22,7 @@ def _words() -> dict[str, str]:
         "none": _tr("None"),
         "all": _tr("All"),
         "fast": _tr("Fast"),
+        "preview": _tr("Preview"),
         "default": _tr("Default"),
         "best": _tr("Best"),
         "fewest": _tr("Fewest"),

@@ -12,6 +12,7 @@ from typing import List, Sequence
 
 from .contracts.checks import as_text
 from .contracts.errors import ImageError
+from .contracts.options import PREVIEW
 from .geometry.vertical import PLACED, PLACED_TAG
 from .imagery import raster
 from .runtime.translation import said
@@ -38,6 +39,7 @@ _PLAIN = _KINDS | {
     *("out", "output", "outputs", "result", "results", "product", "products", "export", "exports", "run", "runs"),
     *("work", "workspace", "working", "temp", "tmp", "test", "tests", "data", "raw", "images", "image", "img", "imgs"),
     *("scene", "scenes", "repm", "folder", "new", "neu", "bilder", "daten", "ergebnis", "ergebnisse", "ausgabe"),
+    *("preview", "vorschau"),
     *("home", "user", "users", "documents", "dokumente", "downloads", "desktop", "schreibtisch", "mnt", "media"),
 }
 _TEMPORARY = re.compile(r"processing_\w+|[0-9a-f]{32}")
@@ -50,10 +52,11 @@ def titled(name: str, taken: Sequence[str]) -> str:
     return ", ".join(filter(None, (name, period(taken))))
 
 
-def marked(name: str, registered: bool) -> str:
-    """A scene's name, which tells it from the scene before it was registered, also where its end is cut off:
-    "registered, hills"."""
-    return f"{said('registered')}, {name}" if name and registered else name
+def marked(name: str, registered: bool, preset: str = "") -> str:
+    """A scene's name, which tells it from its preview and from that before it was registered, also where its end is cut
+    off: "registered, hills"."""
+    marks = [said("preview")] * (preset == PREVIEW) + [said("registered")] * registered
+    return ", ".join([*marks, name]) if name else name
 
 
 def period(taken: Sequence[str]) -> str:
@@ -122,7 +125,7 @@ def scene_title(scene: Scene, path: str) -> str:
     images = [view.image for view in scene.views]
     taken = sorted({view.time.date().isoformat() for view in scene.views if view.time is not None})
     name = folder_name(os.path.dirname(path)) or folder_name(began) or images_name(images)
-    return titled(marked(name, scene.registration is not None), taken)
+    return titled(marked(name, scene.registration is not None, scene.preset), taken)
 
 
 def surface_title(path: str) -> str:

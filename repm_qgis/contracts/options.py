@@ -48,11 +48,15 @@ VIEWER_CELLS = 4_000_000
 SERIES_DATES = 250
 """Most DSMs of a series: the numbers of its dates are stored in a byte."""
 
+PREVIEW = "preview"
+"""The preset of a run on reduced images, in a folder of this name in the workspace."""
+
 PRESETS: Dict[str, Keywords] = {
     "none": {},
     "city": {"model": "polynomial", "method": "mean", "fill": "occlusions"},
     "mountains": {"model": "polynomial", "method": "mean", "fill": "all"},
     "fast": {"quality": "fast", "pointing": "shift", "fill": "none"},
+    PREVIEW: {"quality": "fast", "pointing": "shift", "matching_cost": INTENSITY, "fill": "none"},
 }
 """Values that go together, for options of the pipeline that are not given; docs/algorithms/pipeline.md has what each
 costs and gives."""
@@ -521,6 +525,9 @@ class PipelineOptions(Options):
         images = self.fit.images
         if len(images) < 2 and not any(map(is_delivery, images)):
             raise OptionError("IMAGES", list(images), "must name at least two images: one image has no heights")
+        if self.preset == PREVIEW and self.reconstruct.gcps:
+            reason = "must be empty with PRESET preview, which reads reduced images: their pixels are not the points'"
+            raise OptionError("GCPS", self.reconstruct.gcps, reason)
 
     OWN: ClassVar[Tuple[str, ...]] = ("preset", "report", "command")
     STAGES: ClassVar[Tuple[Type[Options], ...]] = (
@@ -553,6 +560,9 @@ class PipelineOptions(Options):
         own = {name: values[name] for name in cls.OWN if name in values}
         values = {**PRESETS.get(str(own.get("preset", "none")), {}), **values}
         folder = Path(str(values.get("workspace", "")))
+        if own.get("preset") == PREVIEW and values.get("workspace"):
+            folder = folder / PREVIEW
+            values["workspace"] = str(folder)
         names = ("scene", "refined", "reconstructed", "registered")
         fitted, refined, matched, placed = (str(folder / f"{name}.json") for name in names)
         register = None

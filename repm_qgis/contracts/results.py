@@ -277,6 +277,29 @@ class PipelineResult(FusedSurface):
     max_error: Annotated[float, Meaning("the largest of these errors, px")]
     n_tie_points: Annotated[int, Meaning("tie points that the pointing comes from", "Number of tie points")]
     seconds: Annotated[Dict[str, float], Meaning("seconds that each stage took")]
+    footprints: Annotated[
+        Path, Meaning("with PRESET preview: the images' outlines on the ground", "Footprints", VECTOR)
+    ]
+    overlaps: Annotated[
+        Path, Meaning("with PRESET preview: the ground that each two images share", "Overlaps of pairs", VECTOR)
+    ]
+    matched_images: Annotated[
+        Optional[Tuple[str, ...]],
+        Meaning(
+            "with PRESET preview: the images of pairs that matched, as IMAGES of the DSM's run",
+            "Images of the preview's pairs",
+            LAYERS,
+        ),
+    ]
+    lowest: Annotated[
+        Figure,
+        Meaning(
+            "with PRESET preview: ALTITUDE_MIN for the DSM's run, m above the ellipsoid; none where it does not show "
+            "it",
+            "Lowest altitude for the DSM (m)",
+        ),
+    ]
+    highest: Annotated[Figure, Meaning("the same for ALTITUDE_MAX", "Highest altitude for the DSM (m)")]
 
 
 @dataclass(frozen=True)

@@ -122,19 +122,34 @@ class Place:
 
 
 def inspect_views(
-    views: Sequence[View], least_px: float, progress: Progress = _SILENT, parameters: PlanningParameters = PLANNING
+    views: Sequence[View],
+    least_px: float,
+    progress: Progress = _SILENT,
+    parameters: PlanningParameters = PLANNING,
+    altitude: Optional[float] = None,
 ) -> Tuple[Place, ...]:
-    """The places of the views (:func:`~repm_qgis.planning.overlap.places`), those with most images first."""
+    """The places of the views (:func:`~repm_qgis.planning.overlap.places`), those with most images first.
+
+    ``altitude`` is the ground's, m above the ellipsoid; None: it is found from the images.
+    """
     groups = places(views, least_px)
     count = len(groups)
     parts = [Part(progress, number / count, (number + 1) / count) for number in range(count)]
-    return tuple(_place(group, least_px, part, parameters) for group, part in zip(groups, parts))
+    return tuple(_place(group, least_px, part, parameters, altitude) for group, part in zip(groups, parts))
 
 
-def _place(views: Sequence[View], least_px: float, progress: Progress, parameters: PlanningParameters) -> Place:
-    crs = utm_crs(*middle_of(views))
-    altitude, shown = ground_altitude(
-        views, crs, search=common_heights(views), progress=progress, parameters=parameters
+def _place(
+    views: Sequence[View],
+    least_px: float,
+    progress: Progress,
+    parameters: PlanningParameters,
+    known: Optional[float],
+) -> Place:
+    crs, search = utm_crs(*middle_of(views)), common_heights(views)
+    altitude, shown = (
+        ground_altitude(views, crs, search=search, progress=progress, parameters=parameters)
+        if known is None
+        else (known, True)
     )
     outlines = [projected_from_geodetic(crs, footprint(view.localise, view.size, altitude)) for view in views]
     images = tuple(_image(view, crs, outline, altitude) for view, outline in zip(views, outlines))

@@ -9,13 +9,14 @@ from typing import List, Mapping, Sequence, Tuple
 import numpy as np
 
 from ..contracts.errors import RepmError
+from ..contracts.results import PipelineResult
 from ..imagery.acquisition import duration_text
 from ..planning.advice import expected_accuracy_m
 from ..planning.inspection import CARE, NO, YES, PairFacts, Place
 from ..planning.parameters import PLANNING, PlanningParameters
 from ..planning.run_estimate import duration
 from ..runtime.progress import counted
-from ..scene import View
+from ..scene import Scene, View
 from . import charts, pictures
 from .report import Report, fixed
 
@@ -55,7 +56,7 @@ def inspection_page(
         caption = f"Footprints{of} at {place.altitude:.0f} m above the ellipsoid ({ground}), north up ({place.crs})."
         page.svg(charts.footprints({facts.view.name: facts.outline for facts in place.images}), caption)
     _images(page, places, unusable)
-    _pictures(page, places)
+    _pictures(page, [facts.view for place in places for facts in place.images])
     _overlaps(page, places, parameters)
     _first_area(page, places, parameters)
     return page
@@ -82,10 +83,33 @@ def _choices(page: Report, choices: Sequence[Choice]) -> None:
     )
 
 
-def _pictures(page: Report, places: Sequence[Place]) -> None:
+def add_preview(page: Report, place: Place, scene: Scene, result: PipelineResult) -> None:
+    """What a preview is for: the altitudes and pairs of the DSM's run, and where it will have no heights."""
+    page.section("What the preview shows").paragraph(
+        "The images were reduced, each to cells of the size above: heights are as much coarser. Ground without a "
+        "height is water, or what matching does not hold on: clouds, haze, shadows, changed ground. A DSM in full "
+        "has no height there either, unless other images show it."
+    )
+    empty = 100.0 - result.valid_percent
+    water = 100.0 * result.water_m2 / (result.cells * result.resolution**2)
+    altitudes = "not known from this preview"
+    if result.lowest is not None and result.highest is not None:
+        altitudes = f"{result.lowest:.0f} to {result.highest:.0f} m above the ellipsoid"
+    page.facts(
+        [
+            ("Altitudes for the DSM", altitudes),
+            ("Median altitude of the ground", f"{place.altitude:.0f} m above the ellipsoid"),
+            ("Without a height", f"{empty:.1f} %"),
+            ("Water", f"{water:.1f} %"),
+        ]
+    )
+    _pictures(page, scene.views)
+    _overlaps(page, [place], PLANNING, "Overlaps of pairs")
+
+
+def _pictures(page: Report, images: Sequence[View]) -> None:
     """A small picture of each image, to see clouds."""
     drawn = []
-    images = [facts.view for place in places for facts in place.images]
     for view in images[:_MOST_PICTURES]:
         try:
             picture = pictures.thumbnail(view.image, _PICTURE_PX)
@@ -152,7 +176,7 @@ def _images(page: Report, places: Sequence[Place], unusable: Mapping[str, str]) 
     )
 
 
-def _overlaps(page: Report, places: Sequence[Place], parameters: PlanningParameters) -> None:
+def _overlaps(page: Report, places: Sequence[Place], parameters: PlanningParameters, title: str = "Pairs") -> None:
     rows: List[List[object]] = []
     for place in places:
         gsd = {facts.view.name: facts.view.gsd_m for facts in place.images}
@@ -165,7 +189,7 @@ def _overlaps(page: Report, places: Sequence[Place], parameters: PlanningParamet
             figures = *looks, area, *fixed(accuracy, decimals=2), duration_text(pair.days), sun
             rows.append([f"{pair.first}, {pair.second}", facts.worth, facts.reason, *figures])
     limits, advice = parameters.pairs, parameters.advice
-    page.section("Pairs").table(
+    page.section(title).table(
         "pair | worth matching | why | B/H | convergence, ° | overlap | accuracy, m | time between | angle between "
         "suns",
         rows,

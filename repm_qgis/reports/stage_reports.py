@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import platform
-from typing import Dict, List, Mapping, Optional, Sequence, Tuple
+from functools import partial
+from typing import Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 import numpy as np
 from osgeo import ogr
@@ -20,6 +21,7 @@ from ..geometry.frames import geodetic_from_projected, projected_from_geodetic
 from ..geometry.interpolation import on_lattice
 from ..imagery.confidence import CONFIDENCE_BANDS, SOURCE_BAND
 from ..imagery.raster import opened
+from ..planning.inspection import Place
 from ..planning.pair_selection import sun_over
 from ..runtime.environment import version_of
 from ..runtime.packages import PACKAGES
@@ -28,6 +30,7 @@ from ..scene import Scene, View
 from . import charts, pictures, verdict
 from .error_study import add_error_study
 from .geometry_section import add_geometry
+from .inspection_page import add_preview
 from .registration_section import add_registration
 from .report import Report, fixed
 
@@ -117,9 +120,13 @@ def _image_below(scene: Scene, view: View, path: str, values: FloatImage, altitu
     return np.where(inside[..., None], picture[row, column], np.uint8(0))
 
 
-def pipeline_report(scene: Scene, result: PipelineResult, command: Optional[str]) -> Report:
-    """The whole run on one page: surface, inputs, geometry, ties, and the command that repeats it."""
-    report = surface_report(scene, result, result.scene)
+def pipeline_report(
+    scene: Scene, result: PipelineResult, command: Optional[str], previewed: Optional[Place] = None
+) -> Report:
+    """The whole run on one page: surface, inputs, geometry, ties, and the command that repeats it; of a preview also
+    the place that it shows."""
+    preview = partial(add_preview, place=previewed, scene=scene, result=result) if previewed is not None else None
+    report = surface_report(scene, result, result.scene, preview)
     if command:
         report.section("Repeat this run").command(command)
     return _history(report, scene, result.seconds)
@@ -130,12 +137,17 @@ def fusion_report(scene: Scene, result: DsmFuseResult, path: str) -> Report:
     return _history(surface_report(scene, result, path), scene)
 
 
-def surface_report(scene: Scene, result: FusedSurface, path: str) -> Report:
-    """A DSM with all that it comes from, but for its history."""
-    report = Report("Surface model from satellite images", os.path.basename(result.output))
+def surface_report(
+    scene: Scene, result: FusedSurface, path: str, preview: Optional[Callable[[Report], None]] = None
+) -> Report:
+    """A DSM with all that it comes from, but for its history; ``preview`` adds what is to be known of a preview."""
+    title = "Surface model from satellite images" if preview is None else "Preview of the surface"
+    report = Report(title, os.path.basename(result.output))
     facts = FusionFacts.from_mapping(result.to_mapping())
     _verdict(report, scene, facts)
     _surface(report, result.output, result.vertical_datum, facts)
+    if preview is not None:
+        preview(report)
     if scene.registration is not None:
         report.paragraph("This page describes the DSM after the registration.")
     if result.ortho:

@@ -45,9 +45,9 @@ def run(options: InspectOptions, progress: Progress, parameters: EngineParameter
     places = inspect_views(views, parameters.tiles.least_overlap_px, part, parameters.pointing.planning)
     crs = places[0].crs if len(places) == 1 else _GEODETIC
     if options.footprints:
-        _write_footprints(places, crs, options.footprints)
+        write_footprints(places, crs, options.footprints)
     if options.overlaps:
-        _write_overlaps(places, crs, options.overlaps)
+        write_overlaps(places, crs, options.overlaps)
     tile_px = max(parameters.tiles.sizes_px)
     outlook, choices = _outlook(places, tile_px), _choices(places, tile_px)
     if options.report:
@@ -129,7 +129,8 @@ def _loaded(options: InspectOptions, progress: Progress) -> Tuple[List[View], Di
     return views, unusable
 
 
-def _write_footprints(places: Sequence[Place], crs: str, path: str) -> None:
+def write_footprints(places: Sequence[Place], crs: str, path: str) -> None:
+    """Write the layer of the images' outlines on the ground, with its style. Raises WorkspaceError."""
     texts = dict.fromkeys(("view", "file", "satellite", "taken"), str)
     numbers = ("gsd", "incidence", "azimuth", "sun_azimuth", "sun_elevation", "altitude")
     fields: Dict[str, type] = {**texts, "width": int, "height": int, **dict.fromkeys(numbers, float)}
@@ -148,7 +149,8 @@ def _write_footprints(places: Sequence[Place], crs: str, path: str) -> None:
     write_style("footprints", path, taken=(times[0], times[-1]) if times else None)
 
 
-def _write_overlaps(places: Sequence[Place], crs: str, path: str) -> None:
+def write_overlaps(places: Sequence[Place], crs: str, path: str) -> None:
+    """Write the layer of what each two images share, with its style. Raises WorkspaceError."""
     texts = dict.fromkeys(("first", "second", "worth", "reason"), str)
     numbers = ("area_km2", "percent", "angle", "base_to_height", "days", "sun_angle")
     fields: Dict[str, type] = {**texts, "matched": int, **dict.fromkeys(numbers, float)}

@@ -9,7 +9,7 @@ from typing import Callable, Dict, List, Sequence, TypeVar
 
 from osgeo import ogr
 
-from ..contracts.options import PRESETS, Options, PipelineOptions
+from ..contracts.options import PRESETS, PREVIEW, Options, PipelineOptions
 from ..contracts.products import FOLDER, paths_of
 from ..contracts.records import ViewPair
 from ..contracts.results import FusedSurface, PipelineResult, Result
@@ -28,10 +28,11 @@ from ..runtime.progress import Part, Progress, Recorder, Silent
 from ..runtime.workspace import ensure_folder, with_copy
 from ..scene import Scene
 from ..solids.ept import require_ept_place
-from . import dsmfuse, epmfit, reconstruct, refine, register
+from . import dsmfuse, epmfit, preview, reconstruct, refine, register
 from .early import cell_of, require_cell, require_ortho_cell
 from .parameters import ENGINE, EngineParameters
 
+_REDUCED = 0.1  # of the progress, for the images of a preview
 _SHARES = {"epmfit": 0.15, "refine": 0.2, "reconstruct": 0.85, "register": 0.9, "dsmfuse": 1.0}
 """The progress of the whole at the end of each stage."""
 Own = TypeVar("Own", bound=Options)
@@ -51,7 +52,12 @@ def _run(options: PipelineOptions, progress: Recorder, parameters: EngineParamet
     options = replace(options, fit=with_images(options.fit, progress))  # which refuses one image, too
     _check_early(options, parameters)
     seconds: Dict[str, float] = {}
-    begin = 0.0
+    begin, reduced = 0.0, None
+    if options.preset == PREVIEW:
+        start = time.monotonic()
+        options, reduced = preview.with_reduced_images(options, Part(progress, 0.0, _REDUCED))
+        parameters = preview.parameters_of(parameters, reduced.step)
+        begin, seconds[PREVIEW] = _REDUCED, round(time.monotonic() - start, 3)
 
     def stage(name: str, title: str, work: Callable[[Own, Progress, EngineParameters], R], own: Own) -> R:
         nonlocal begin
@@ -87,6 +93,8 @@ def _run(options: PipelineOptions, progress: Recorder, parameters: EngineParamet
     if scene.preset != options.preset:
         scene = replace(scene, preset=options.preset)
         scene.save(scene_path)
+    seen = preview.seen_in(scene, fused, options, reduced, parameters) if reduced is not None else None
+    low, high = (seen.altitudes if seen is not None else None) or (None, None)
     report_paths = with_copy(str(Path(options.fit.workspace) / "report.html"), options.report)
     result = PipelineResult(
         **fused.fields_of(FusedSurface),
@@ -100,8 +108,14 @@ def _run(options: PipelineOptions, progress: Recorder, parameters: EngineParamet
         max_error=first.max_error,
         n_tie_points=heights.n_tie_points,
         seconds=seconds,
+        footprints=seen.footprints if seen is not None else None,
+        overlaps=seen.overlaps if seen is not None else None,
+        matched_images=seen.images if seen is not None else None,
+        lowest=low,
+        highest=high,
     )
-    report = pipeline_report(scene, result, options.command).of(scene_title(scene, scene_path))
+    place = seen.place if seen is not None else None
+    report = pipeline_report(scene, result, options.command, place).of(scene_title(scene, scene_path))
     for path in report_paths:
         report.write(path, progress)
     progress.step(1.0, "done")
