@@ -326,8 +326,8 @@ class _Frame:
     def reduced(self) -> ReducedPair:
         """The pair as the coarse level has it."""
         if self._reduced is None:
-            parts = list(zip((self.first, self.second), self._maps, self._sizes))
-            a, b = spread(lambda part: _reduced(*part, self._factor), parts)
+            sources, factor = (self.first, self.second), self._factor
+            a, b = spread(lambda k: _reduced(sources[k], self._maps[k], self._sizes[k], factor), (0, 1))
             self._reduced = ReducedPair(a, b, (self.search[0] // self._factor, self.search[1] // self._factor))
         return self._reduced
 

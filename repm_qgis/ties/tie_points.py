@@ -178,11 +178,11 @@ def _match_patch(task: _PatchTask) -> Dict[Pair, PairMatches]:
     needed = list(dict.fromkeys((name, gsd_m) for pair, gsd_m in zip(task.pairs, task.coarsest_m) for name in pair))
     features = dict(zip(needed, spread(lambda each: _features(task, task.scene.view(each[0]), each[1]), needed)))
 
-    def of(pair: Pair, gsd_m: float) -> Optional[PairMatches]:
-        a, b = (features[name, gsd_m] for name in pair)
+    def of(number: int) -> Optional[PairMatches]:
+        a, b = (features[name, task.coarsest_m[number]] for name in task.pairs[number])
         return _match(task, a, b) if a is not None and b is not None else None
 
-    found = spread(lambda each: of(*each), list(zip(task.pairs, task.coarsest_m)))
+    found = spread(of, range(len(task.pairs)))
     return {pair: matches for pair, matches in zip(task.pairs, found) if matches is not None}
 
 

@@ -69,7 +69,7 @@ def test_bad_tables_are_one_sentence_before_the_run(plugin, context, sites, tmp_
     table = tmp_path / "sites.csv"
     table.write_text(f"scene,images,resolutoin\na,{sites / 'pair'},1\n", encoding="utf-8")
     for given, words in (
-        ({}, "FOLDER is None: it must be given, or TABLE"),
+        ({}, "FOLDER is empty: it must be given, or TABLE"),
         ({"FOLDER": str(sites), "TABLE": str(table)}, "not both"),
         ({"FOLDER": str(tmp_path / "gone")}, "cannot be read"),
         ({"TABLE": str(tmp_path / "gone.csv")}, "gone.csv' is not there"),

@@ -47,7 +47,7 @@ def test_a_preview_leads_to_the_area_and_the_dsm(desktop_start, town, tmp_path):
     assert enabled and own["PRESET"] == "none" and own["ALTITUDE_MIN"] is None  # the dialog itself stays as it was
     assert found["messages"] == [[plan["draw"], "Make the DSM…"]] * 2 and found["closed"] and found["hidden"]
     names = [name for name, _, _ in found["layers"]]
-    assert [name.split(" old town, preview")[0] for name in names] == [
+    assert [name.split(" preview, old town")[0] for name in names] == [
         *("Footprints", "Overlaps of pairs", "Hillshade of DSM", "DSM"),
     ]
     files = [pathlib.Path(source.split("|")[0]) for _, source, _ in found["layers"]]

@@ -43,7 +43,7 @@ def test_a_folder_without_subfolders_leads_to_the_pipeline(tmp_path):
 @pytest.mark.parametrize(
     "given, words",
     (
-        ({}, "FOLDER is None: it must be given, or TABLE"),
+        ({}, "FOLDER is empty: it must be given, or TABLE"),
         ({"folder": "a", "table": "b"}, "and not both"),
         ({"folder": "a", "products": ["dsm"]}, "PRODUCTS is 'dsm': it must be one of confidence, ortho"),
         ({"folder": "a", "resolution": -1}, "RESOLUTION is -1"),
