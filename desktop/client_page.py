@@ -31,7 +31,7 @@ from qgis.PyQt.QtXml import QDomDocument
 
 from ..processing_provider.base import resource
 from ..repm_qgis import __version__
-from ..repm_qgis.workspaces import RunFacts, Workspace
+from ..repm_qgis.workspaces.facts import RunFacts, Workspace
 from .hillshades import shade_of
 
 _EDGE = 1.03  # of the map around the DSM

@@ -35,7 +35,7 @@ from .control_points import ControlPointsDock
 from .next_step import STEPS, bring_out, layer_of, push_message
 
 if TYPE_CHECKING:  # the engine is imported when it is needed
-    from ..repm_qgis.workspaces import ProductFacts, Value, Workspace
+    from ..repm_qgis.workspaces.facts import ProductFacts, Value, Workspace
 
 _EDGE = 1.05
 _FILE_LAYERS = ("raster", "points", "polygons")
@@ -119,7 +119,7 @@ class SceneActions(QObject):
 
     def run_again(self, options: Mapping[str, Value]) -> None:
         """Open the dialog with the options of a run."""
-        from ..repm_qgis.workspaces import safe_inputs
+        from ..repm_qgis.workspaces.options import safe_inputs
 
         STEPS.open("pipeline", parameters_of(safe_inputs(options)))
 
@@ -162,7 +162,7 @@ class SceneActions(QObject):
     def remove(self, folder: str, products: list[ProductFacts]) -> None:
         """Remove products from the disk and the map, after a question that names them."""
         from ..repm_qgis.contracts.errors import RepmError
-        from ..repm_qgis.workspaces import remove_products
+        from ..repm_qgis.workspaces.products import remove_products
 
         lines = [f"{os.path.basename(each.path)}  ({QLocale().formattedDataSize(each.size)})" for each in products]
         text = self.tr("These files are removed from the disk, and cannot be restored:") + "\n\n" + "\n".join(lines)
@@ -187,7 +187,7 @@ class SceneActions(QObject):
         self._choose(self.tr("Where is '{name}' now?").format(name=os.path.basename(folder)), folder)
 
     def _choose(self, title: str, before: str) -> None:
-        from ..repm_qgis.workspaces import is_workspace
+        from ..repm_qgis.workspaces.reading import is_workspace
 
         folder = QFileDialog.getExistingDirectory(self._window, title, os.path.dirname(before))
         if not folder:

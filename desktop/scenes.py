@@ -42,7 +42,7 @@ from .scene_actions import SceneActions, can_show, show_file
 from .scene_reading import THUMBNAIL_PX, Reader, picture_of
 
 if TYPE_CHECKING:  # the engine is imported when it is needed
-    from ..repm_qgis.workspaces import ImageFacts, ProductFacts, RunFacts, Workspace
+    from ..repm_qgis.workspaces.facts import ImageFacts, ProductFacts, RunFacts, Workspace
 
 _FACTS = Qt.ItemDataRole.UserRole
 
@@ -136,7 +136,7 @@ class ScenesDock(QgsDockWidget):
 
     def refresh(self, *_: object) -> None:
         """Read all workspaces again: those of the project's layers, and those of late."""
-        from ..repm_qgis.workspaces import is_workspace, read_workspace
+        from ..repm_qgis.workspaces.reading import is_workspace, read_workspace
 
         places = dict.fromkeys(
             os.path.dirname(layer_path(layer)) for layer in QgsProject.instance().mapLayers().values()

@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from repm_qgis import workspaces
 from repm_qgis.contracts.errors import WorkspaceError
 from repm_qgis.runtime.progress import Silent
 from repm_qgis.scene import SceneFacts, facts_of
 from repm_qgis.stages import run_stage
-from repm_qgis.workspaces import options_of_command, read_workspace, remove_products, safe_inputs
+from repm_qgis.workspaces import reading
+from repm_qgis.workspaces.options import options_of_command, safe_inputs
+from repm_qgis.workspaces.products import remove_products
+from repm_qgis.workspaces.reading import read_workspace
 
 
 @pytest.fixture(scope="module")
@@ -184,4 +186,4 @@ def test_who_writes_in_a_workspace_is_told_and_nothing_is_removed_meanwhile(fitt
     finally:
         other.communicate()
     assert os.path.exists(folder / "dsm.tif") and read_workspace(str(folder)).writer == ""
-    assert workspaces.is_workspace(str(folder)) and not workspaces.is_workspace(str(tmp_path))
+    assert reading.is_workspace(str(folder)) and not reading.is_workspace(str(tmp_path))
