@@ -7,7 +7,7 @@ writes the file beside this module; its licence and origin are in ``networks/REA
 
 from __future__ import annotations
 
-from functools import cache
+import threading
 from pathlib import Path
 
 import cv2
@@ -21,11 +21,17 @@ REACH_PX = 5  # to each side of a pixel
 _STRIP_COLUMNS = 512  # whose layers fit into the caches
 
 
-@cache
+_of_thread = threading.local()  # a network keeps its input and its layers: threads must not share one
+
+
 def _network() -> cv2.dnn.Net:
-    name = "mc_cnn_fast_dw.onnx"
-    data = np.frombuffer((Path(__file__).parent / "networks" / name).read_bytes(), dtype=np.uint8)
-    return cv2.dnn.readNetFromONNX(data)
+    """The network of this thread."""
+    if not hasattr(_of_thread, "network"):
+        name = "mc_cnn_fast_dw.onnx"
+        data = np.frombuffer((Path(__file__).parent / "networks" / name).read_bytes(), dtype=np.uint8)
+        _of_thread.network = cv2.dnn.readNetFromONNX(data)
+    network: cv2.dnn.Net = _of_thread.network
+    return network
 
 
 def normalised(image: FloatImage) -> FloatImage:

@@ -16,6 +16,7 @@ from repm_qgis.matching.learned_features import FEATURES, features_of_rows, norm
 from repm_qgis.matching.parameters import MATCHING, LearnedParameters
 from repm_qgis.matching.reliability import mask_unreliable
 from repm_qgis.runtime.progress import Recorder, Silent
+from repm_qgis.runtime.spare_cores import spare_cores, spread
 
 from .test_sgm import HIGH, LOW, pair_of
 
@@ -44,6 +45,22 @@ def test_features_do_not_depend_on_the_part_that_is_made_at_once():
     parts = np.concatenate([features_of_rows(image, slice(top, top + 10), columns) for top in range(0, 40, 10)], axis=1)
     assert np.abs(whole - parts).max() < 1e-5
     assert np.abs(whole[:, :, 90:650] - features_of_rows(image, slice(0, 40), slice(90, 650))).max() < 1e-5
+
+
+def test_threads_do_not_disturb_each_other():
+    """Images of other sizes, and of the same one, at once: a network that they shared would mix them up."""
+    random = np.random.default_rng(4)
+    images = [normalised(random.random((60, 90 + 10 * (number % 3))).astype(np.float32)) for number in range(12)]
+
+    def made(image):
+        return features_of_rows(image, slice(0, 60), slice(0, image.shape[1] - 10))
+
+    alone = [made(image) for image in images]
+    with spare_cores(3):
+        together = [spread(made, images) for _ in range(3)]
+    for features in together:
+        for one, other in zip(alone, features):
+            np.testing.assert_array_equal(one, other)
 
 
 def summed_by_loops(costs, one, two, image, contrast):
