@@ -40,7 +40,7 @@ NEED_MORE = {
 """Commands that do not run here, with the reason, which the test prints."""
 
 
-_NO_COMMANDS = ("python", "json", "text")
+_NO_COMMANDS = ("python", "json", "text", "csv")
 """Kinds of fenced blocks that show parts of programs or files."""
 
 
