@@ -241,6 +241,8 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
         self, definition: QgsProcessingParameterDefinition, value: object, context: QgsProcessingContext
     ) -> str:
         name = definition.name()
+        if definition.isDestination():  # TABLE is an input of one algorithm, and a product of another
+            return ""
         if name in ("RPCS", "MASKS", "CONFIDENCES", "GCPS", "PROFILES", "SCENES", "EDITS", "AREAS", "TABLE"):
             return self._check_files(name, value, context)
         if name in ("IMAGES", "XS"):

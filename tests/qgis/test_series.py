@@ -38,6 +38,13 @@ def moment(text):
     return QDateTime.fromString(f"{text}T12:00:00Z", Qt.DateFormat.ISODate)
 
 
+def test_products_need_not_be_there(provider, context, dsms, tmp_path):
+    """TABLE is a product here, and an input of the batch."""
+    series = next(each for each in provider.algorithms() if each.name() == "series").create()
+    given = {"DSMS": dsms, "OUTPUT": str(tmp_path / "o.tif"), "TABLE": str(tmp_path / "t.csv")}
+    assert series.checkParameterValues(given, context) == (True, "")
+
+
 @pytest.mark.long
 def test_layers_arrive_styled_and_each_date_has_its_period(load, dsms, tmp_path):
     made = {name: tmp_path / f"{name}.tif" for name in ("OUTPUT", "TREND", "CHANGED")}
