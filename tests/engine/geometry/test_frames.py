@@ -104,7 +104,6 @@ def test_projecting_agrees_with_pyproj():
         ("EPSG:4326", "must be a projected CRS"),
         ("EPSG:4978", "must be a projected CRS"),
         ("no such thing", "is not a coordinate reference system that PROJ knows"),
-        ("", "is not a coordinate reference"),
         ("EPSG:999999", "is not a coordinate reference"),
         ("EPSG:2263", "metres"),
         ("EPSG:32631+5773", "without a vertical"),
@@ -114,6 +113,11 @@ def test_a_dsm_needs_a_projected_crs_in_metres(text, words):
     with pytest.raises(OptionError) as caught:
         projected_crs(text)
     assert words in str(caught.value) and repr(text) in str(caught.value)
+
+
+def test_an_empty_crs_is_named_as_empty():
+    with pytest.raises(OptionError, match="CRS is empty: it is not a coordinate reference system that PROJ knows"):
+        projected_crs("")
 
 
 @pytest.mark.parametrize(
