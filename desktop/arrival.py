@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Iterable
 
-from qgis.core import QgsLayerTreeGroup, QgsLayerTreeLayer, QgsProject, QgsRectangle
+from qgis.core import QgsLayerTreeLayer, QgsProject, QgsRectangle
 from qgis.gui import QgisInterface
 
 from ..processing_provider.styles import is_run, kind_of
@@ -61,11 +61,8 @@ def zoom_to(iface: QgisInterface, extent: QgsRectangle) -> None:
 
 def _switch_off_hidden(iface: QgisInterface, surface: QgsLayerTreeLayer) -> None:
     new, own = extent_of(iface, [surface]), surface.parent()
-    below = False
-    for other in own.parent().children():
-        below = below or other == own
-        if other == own or not below or not isinstance(other, QgsLayerTreeGroup) or not is_run(other):
-            continue
+    groups = own.parent().children()
+    for other in filter(is_run, groups[groups.index(own) + 1 :]):
         shown = extent_of(iface, other.findLayers())
         area = shown.width() * shown.height()
         covered = shown.intersect(new)

@@ -31,8 +31,10 @@ from qgis.PyQt.QtXml import QDomDocument
 
 from ..processing_provider.base import resource
 from ..repm_qgis import __version__
+from ..repm_qgis.names import period
 from ..repm_qgis.workspaces.facts import RunFacts, Workspace
 from .hillshades import shade_of
+from .next_step import free_path
 
 _EDGE = 1.03  # of the map around the DSM
 _VERDICT = 420  # characters
@@ -98,11 +100,10 @@ def figures_of(scene: Workspace, dsm: QgsRasterLayer) -> list[tuple[str, str]]:
 
     with opened(dsm.source().split("|")[0]) as dataset:
         tags = dataset.GetMetadata()
-    days = sorted({each.acquired[:10] for each in scene.images if each.acquired})
     placed = tags.get(PLACED_TAG) in PLACED
     metres = QLocale().toString(dsm.rasterUnitsPerPixelX(), "g", 3)
     size = QLocale().toString(dsm.extent().width() * dsm.extent().height() / 1e6, "f", 2)
-    span = " – ".join(dict.fromkeys((days[0], days[-1]))) if days else _tr("date unknown")
+    span = period(scene.days) or _tr("date unknown")
     return [
         (_tr("Images"), f"{len(scene.images)}, {span}"),
         (_tr("Cells"), f"{metres} m"),
@@ -159,9 +160,4 @@ def _fit_bar(item: QgsLayoutItem, shown: QgsLayoutItem) -> None:
 
 def page_path(dsm: str) -> str:
     """Where a DSM's page is written: beside it, under a name that is free."""
-    stem, number = f"{os.path.splitext(dsm)[0]}_page", 1
-    path = f"{stem}.pdf"
-    while os.path.lexists(path):
-        number += 1
-        path = f"{stem}_{number}.pdf"
-    return path
+    return free_path(f"{os.path.splitext(dsm)[0]}_page.pdf")

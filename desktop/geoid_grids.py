@@ -129,11 +129,12 @@ class GeoidGridsDialog(QDialog):
         try:
             grids = geoid_grids(datum)
         except RepmError as error:
-            return self._say(said(str(error)))
+            self.said.setText(said(str(error)))
+            return
         for grid in grids:
             if grid.name not in self.buttons:
                 self._add_line(grid)
-        self._say(
+        self.said.setText(
             ", ".join(grid.name for grid in grids)
             if grids
             else _tr("PROJ {version} knows no grid for '{datum}'.").format(version=_proj_version(), datum=datum)
@@ -176,7 +177,7 @@ class GeoidGridsDialog(QDialog):
         self._loading.downloadCompleted.connect(lambda *_: self._arrived(name, part))
         self._loading.downloadError.connect(self._failed)
         self.bar.setValue(0)
-        self._say(_tr("Fetching {name}…").format(name=name))
+        self.said.setText(_tr("Fetching {name}…").format(name=name))
         self.refresh()
 
     def _progressed(self, received: int, total: int) -> None:
@@ -199,13 +200,10 @@ class GeoidGridsDialog(QDialog):
         advice = _tr("Check the network, and the proxy under Settings > Options > Network.")
         self._ended(f"{'; '.join(errors).rstrip('.')}. {advice}")
 
-    def _say(self, text: str) -> None:
-        self.said.setText(text)
-
     def _ended(self, error: str, name: str = "") -> None:
         self._loading = None
         self.bar.setValue(0 if error else 100)
-        self._say(
+        self.said.setText(
             _tr("The grid could not be fetched: {error}").format(error=error)
             if error
             else _tr("{name} is installed: heights above this geoid can be used now.").format(name=name)

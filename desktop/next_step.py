@@ -172,7 +172,7 @@ class NextSteps:
         if self._reference:  # as layers that QGIS does not open: it drops what it cannot, such as clouds
             given["REFERENCE"] = [QgsVectorLayer(path, "", "none") for path in self._reference]
         if is_lasting(os.path.dirname(scene)):
-            given["OUTPUT_SCENE"] = _free(os.path.join(os.path.dirname(scene), "registered.json"))
+            given["OUTPUT_SCENE"] = free_path(os.path.join(os.path.dirname(scene), "registered.json"))
         self.open("register", given)
 
     def fuse(self, scene: str) -> None:
@@ -182,7 +182,7 @@ class NextSteps:
         given: JsonObject = {**inputs, "SCENE": scene}
         for name, path in {"OUTPUT": os.path.join(folder, "dsm.tif"), **made}.items():
             if is_lasting(os.path.dirname(path)):
-                given[name] = _free("_registered".join(os.path.splitext(path)))
+                given[name] = free_path("_registered".join(os.path.splitext(path)))
         self.open("dsmfuse", given)
 
     def edit(self, layer_id: str) -> None:
@@ -255,7 +255,7 @@ def _paths(value: object) -> list[str]:
     return [path for path in any_paths(value, context, only_named=True) if path]
 
 
-def _free(path: str) -> str:
+def free_path(path: str) -> str:
     """A name that no file has, with a number where the first is taken."""
     stem, end = os.path.splitext(path)
     number = 1

@@ -31,13 +31,13 @@ from ..processing_provider.language import language, said
 from ..processing_provider.parameters import tr
 from ..processing_provider.values import command_line, layer_path
 from ..repm_qgis.runtime.translation import written_in
+from .arrival import zoom_to
 from .control_points import ControlPointsDock
 from .next_step import STEPS, bring_out, layer_of, push_message
 
 if TYPE_CHECKING:  # the engine is imported when it is needed
     from ..repm_qgis.workspaces.facts import ProductFacts, Value, Workspace
 
-_EDGE = 1.05
 _FILE_LAYERS = ("raster", "points", "polygons")
 
 
@@ -76,7 +76,7 @@ class SceneActions(QObject):
             self._iface.messageBar().pushWarning("REPM", f"'{made.path}' {said(refused)}")
             return None
         kind, path = made.product.style, made.path
-        run = styles.Run(scene.title, sorted({each.acquired[:10] for each in scene.images if each.acquired}))
+        run = styles.Run(scene.title, scene.days)
         name = run.name(tr(made.product.layer or made.product.title))
         # Our style instead of the file beside the product: that of a stranger's workspace may hold code.
         layer: QgsMapLayer
@@ -113,9 +113,7 @@ class SceneActions(QObject):
             place = to_map.transformBoundingBox(extent)
         except QgsCsException:
             return
-        place.scale(_EDGE)
-        canvas.setExtent(place)
-        canvas.refresh()
+        zoom_to(self._iface, place)
 
     def run_again(self, options: Mapping[str, Value]) -> None:
         """Open the dialog with the options of a run."""

@@ -36,6 +36,7 @@ from ..processing_provider.kept import is_lasting
 from ..processing_provider.language import said
 from ..processing_provider.parameters import tr
 from ..processing_provider.values import layer_path
+from ..repm_qgis.names import period
 from .control_points import ControlPointsDock
 from .next_step import STEPS
 from .scene_actions import SceneActions, can_show, show_file
@@ -206,7 +207,7 @@ class ScenesDock(QgsDockWidget):
         item.setText(0, found.title)
         item.setIcon(0, _small(QIcon(resource("icons", "repm.svg"))))
         item.setToolTip(0, folder)
-        about = said(found.problem) if found.problem else self._days(found)
+        about = said(found.problem) if found.problem else period(found.days)
         if found.writer:
             about = self.tr("In use by {owner}").format(owner=found.writer)
         item.setText(1, about if os.path.isdir(folder) else self.tr("not there"))
@@ -236,10 +237,6 @@ class ScenesDock(QgsDockWidget):
         if kind == "part":
             return folder, facts[0]
         return (folder, *(str(getattr(each, "path", "") or getattr(each, "report", "")) for each in facts))
-
-    def _days(self, found: Workspace) -> str:
-        days = sorted({each.acquired[:10] for each in found.images if each.acquired})
-        return " – ".join(dict.fromkeys((days[0], days[-1]))) if days else ""
 
     def _grey(self, item: QTreeWidgetItem) -> None:
         colour = self.palette().brush(QPalette.ColorGroup.Disabled, QPalette.ColorRole.Text)

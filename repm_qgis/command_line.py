@@ -19,7 +19,7 @@ from typing import Any, List, Match, Optional, Sequence, TextIO, Tuple, Type, ge
 
 from . import __version__
 from .contracts import options as options_of_stages
-from .contracts.checks import Choice, Number, types_of
+from .contracts.checks import Choice, Number
 from .contracts.documents import JsonMapping, JsonObject, Keywords
 from .contracts.options import Options
 from .contracts.products import PRODUCTS
@@ -69,7 +69,7 @@ _UNSET: Keywords = {"default": argparse.SUPPRESS}
 
 def _add(parser: argparse.ArgumentParser, stage: str, options: Type[Options], name: str) -> None:
     flag, about = f"--{name.replace('_', '-')}", {**_UNSET, "help": _help(stage, options, name).replace("%", "%%")}
-    kind, check = _kind(options, name), options.option(name).metadata.get("check")
+    kind, check = options.kind_of(name), options.option(name).metadata.get("check")
     if kind is bool:
         # Python 3.9 would show any other default in the help.
         parser.add_argument(flag, action=argparse.BooleanOptionalAction, help=about["help"], default=None)
@@ -85,14 +85,6 @@ def _add(parser: argparse.ArgumentParser, stage: str, options: Type[Options], na
 
 def _metavar(kind: type) -> str:
     return {str: "TEXT", int: "NUMBER", float: "NUMBER"}[kind]
-
-
-def _kind(options: Type[Options], name: str) -> Any:
-    """The type of an option's value, without what says that there may be none and what bounds it."""
-    kind = types_of(options.owner_of(name))[name]
-    while get_origin(kind) not in (None, tuple):
-        kind = next(each for each in get_args(kind) if each is not type(None))
-    return kind
 
 
 def _help(stage: str, options: Type[Options], name: str) -> str:

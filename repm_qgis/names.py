@@ -123,9 +123,8 @@ def scene_title(scene: Scene, path: str) -> str:
     record = scene.record_of("epmfit")
     began = str(record.options.get("workspace") or "") if record else ""
     images = [view.image for view in scene.views]
-    taken = sorted({view.time.date().isoformat() for view in scene.views if view.time is not None})
     name = folder_name(os.path.dirname(path)) or folder_name(began) or images_name(images)
-    return titled(marked(name, scene.registration is not None, scene.preset), taken)
+    return titled(marked(name, scene.registration is not None, scene.preset), scene.days())
 
 
 def surface_title(path: str) -> str:

@@ -366,6 +366,10 @@ class Scene(Record):
         times = sorted(view.acquired for view in self.views if view.time is not None)
         return (times[0], times[-1]) if times else None
 
+    def days(self) -> List[str]:
+        """The days (UTC, ISO 8601) on which the images were taken, in order; empty where none is known."""
+        return sorted({view.time.date().isoformat() for view in self.views if view.time is not None})
+
     def require_two_images(self) -> None:
         """Raise SceneError for a scene of one image, which has a camera and errors, but no heights."""
         if len(self.views) < 2:

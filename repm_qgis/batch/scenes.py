@@ -11,9 +11,9 @@ import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Callable, Dict, List, Mapping, Optional, get_args, get_origin
+from typing import Callable, Dict, List, Mapping, Optional, get_origin
 
-from ..contracts.checks import file_name, types_of
+from ..contracts.checks import file_name
 from ..contracts.documents import JsonObject
 from ..contracts.errors import ImageError, InputTableError, OptionError, RepmError, WorkspaceError, reason_of
 from ..contracts.file_kinds import IMAGE_ENDS, is_archive, is_catalogue
@@ -185,11 +185,7 @@ def _value(place: str, folder: str, name: str, text: str) -> JsonObject:
             raise InputTableError(f"{place} leads to the network ('{part[:80]}'): download the file and name the copy.")
     if name == "extent":
         return _extent(place, text)
-    owner = PipelineOptions.owner_of(name)
-    kind = types_of(owner)[name]
-    while get_origin(kind) not in (None, tuple):  # what bounds it, and that there may be none
-        kind = next(each for each in get_args(kind) if each is not type(None))
-    is_path = bool(owner.option(name).metadata.get("read"))
+    kind, is_path = PipelineOptions.kind_of(name), bool(PipelineOptions.option(name).metadata.get("read"))
 
     def one(part: str) -> str:
         return os.path.join(folder, part) if is_path and part else part

@@ -10,7 +10,7 @@ import dataclasses
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Dict, List, Optional, Tuple, Type, TypeVar
+from typing import Annotated, Any, ClassVar, Dict, List, Optional, Tuple, Type, TypeVar, get_args, get_origin
 
 from .checks import Choice, Given, Number, Rectangle, Switch, types_of, unfit
 from .documents import JsonMapping, JsonObject, Keywords
@@ -138,6 +138,14 @@ class Options(metaclass=_ByName):
     def owner_of(cls, name: str) -> "Type[Options]":
         """The class that declares an option: this one, unless it consists of others."""
         return cls
+
+    @classmethod
+    def kind_of(cls, name: str) -> Any:
+        """The type of an option's value, without what says that there may be none and what bounds it."""
+        kind: Any = types_of(cls.owner_of(name))[name]
+        while get_origin(kind) not in (None, tuple):
+            kind = next(each for each in get_args(kind) if each is not type(None))
+        return kind
 
     @classmethod
     def default_of(cls, name: str) -> Default:
@@ -611,8 +619,8 @@ class BatchOptions(Options):
     OF_ONE: ClassVar[Tuple[str, ...]] = ("images", "rpcs", "masks", "gcps", "xs")
     """The options of the pipeline that no two scenes share, for a table's columns only."""
     PLACES: ClassVar[Tuple[str, ...]] = (
-        *("workspace", "report", "command", "tiles", "tie_points", "heights", "output", "confidence", "ortho"),
-        *("water_mask", "cloud", "ept", "mesh", "view_heights", "viewer", "stac"),
+        *("workspace", "report", "command", "tiles", "tie_points", "heights", "output"),
+        *BATCH_PRODUCTS,
     )
     """Those that say where the pipeline writes, which follows from a scene's name."""
     MACHINE: ClassVar[Tuple[str, ...]] = ("workers", "memory", "cluster")

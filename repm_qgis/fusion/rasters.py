@@ -74,9 +74,8 @@ class _Products:
             metadata[PLACED_TAG] = scene.placed
         if evidence:
             metadata["REPM_WATER"] = evidence
-        taken = {view.time.date().isoformat() for view in scene.views if view.time is not None}
-        if taken:
-            metadata[DAYS] = " ".join(sorted(taken))
+        if scene.days():
+            metadata[DAYS] = " ".join(scene.days())
 
         def raster(
             path: str, names: Tuple[str, ...], kind: DTypeLike = np.float32, crs: str = wkt, **more: Any

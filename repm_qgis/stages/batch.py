@@ -158,7 +158,7 @@ def _made(name: str, job: JsonObject, folder: str, progress: Part, start: float)
         report=os.path.join(folder, _REPORT),
         images=len(scene.views),
         pairs=len({each.pair for tile in scene.tiles for each in tile.heights}),
-        taken=tuple(sorted({view.time.date().isoformat() for view in scene.views if view.time is not None})),
+        taken=tuple(scene.days()),
         valid_percent=result.valid_percent,
         resolution=result.resolution,
         vertical_datum=result.vertical_datum,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Mapping, NamedTuple, Optional, Tuple, Union
+from typing import List, Mapping, NamedTuple, Optional, Tuple, Union
 
 from ..contracts.products import Product
 
@@ -67,6 +67,11 @@ class Workspace:
     products: Tuple[ProductFacts, ...] = ()
     problem: str = ""
     writer: str = ""
+
+    @property
+    def days(self) -> List[str]:
+        """The days (ISO 8601) on which its images were taken, in order."""
+        return sorted({each.acquired[:10] for each in self.images if each.acquired})
 
     def product(self, stage: str, option: str = "output") -> Optional[ProductFacts]:
         """The first product of a kind that is there."""
