@@ -88,6 +88,9 @@ class Backend(Protocol):
     def match(self, job: MatchingJob, progress: Progress) -> MatchingResult:
         """Match all tiles of a job."""
 
+    def share_left(self, job: MatchingJob) -> float:
+        """The share of the job, 0..1, that no earlier run has left in its folder."""
+
     def height_source(
         self, scene: Scene, bounds: Bounds, record: HeightMapRecord, crs: str, parameters: MatchingParameters
     ) -> HeightSource:

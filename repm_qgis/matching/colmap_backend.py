@@ -44,6 +44,9 @@ class ColmapBackend:
     def settings(self, options: ReconstructOptions) -> List[object]:
         return [options.geometric, options.colmap_fusion, options.window_radius]
 
+    def share_left(self, job: MatchingJob) -> float:
+        return 1.0  # what is there says itself whether it is of this job
+
     def match(self, job: MatchingJob, progress: Progress) -> MatchingResult:
         """Match all tiles, one worker for each GPU.
 

@@ -6,14 +6,14 @@ import math
 import os
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
 from ..contracts.arrays import Altitudes, Bounds, FloatImage, Mask, Size, Window
 from ..contracts.errors import EmptyResultError
 from ..contracts.options import INTENSITY, LEARNED, ReconstructOptions
-from ..contracts.records import HeightMapRecord
+from ..contracts.records import HeightMapRecord, ViewPair
 from ..geometry.rectification import RectifiedPair
 from ..geometry.refinement import translation
 from ..imagery.enhancement import Stretch
@@ -21,11 +21,11 @@ from ..imagery.raster import opened_masked
 from ..imagery.warping import PixelMap, SourcePixels, coarsened, source_pixels
 from ..runtime.memory import matching_mib, tile_work, workers_within
 from ..runtime.parallel import run_tasks
-from ..runtime.progress import Part, Progress, Silent
+from ..runtime.progress import Part, Progress, Silent, Uneven, slow_down
 from ..runtime.spare_cores import side_by_side, spread
 from ..runtime.workspace import drop_temporaries, fingerprint
-from ..scene import Scene
-from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, write_height_map
+from ..scene import Scene, Tile
+from ..stereo.height_maps import HeightSource, finished_record, foreign_height_map, has_key, write_height_map
 from ..stereo.pairing import rectified_pair, reductions
 from ..stereo.parameters import STEREO, StereoParameters
 from ..stereo.triangulation import PairGeometry, pair_geometry
@@ -41,11 +41,12 @@ from .disparity_prior import (
     needs_coarse_level,
     sampled_on,
 )
-from .parameters import MATCHING, MatchingParameters, PriorParameters
+from .parameters import MATCHING, LearnedParameters, MatchingParameters, PriorParameters
 from .reliability import mask_unreliable, shown_twice
 from .wide_windows import wide_match
 
-_CHOICE = 0.02  # of the progress, for the choice of costs
+_LEARNED, _MEASURED, _KEPT = 5.0, 0.1, 0.02
+"""Of the time of matching by intensities: by features, a pair's agreement, and a map that an earlier run has made."""
 
 
 @dataclass(frozen=True)
@@ -67,15 +68,25 @@ class PairBackend:
     def match(self, job: MatchingJob, progress: Progress) -> MatchingResult:
         """Match every pair over every tile that both of its views see, in as many workers as fit into memory."""
         tasks = self._tasks(job)
-        costs = choose_costs(job, tasks, Part(progress, 0.0, _CHOICE))
+        measured = unsure_tasks(job, tasks)
+        times = [_KEPT if has_key(task.path, task.key) else 1.0 for task in tasks]
+        choice = _MEASURED * len(measured) / (_MEASURED * len(measured) + sum(times) or 1.0)
+        costs = choose_costs(job, measured, Part(progress, 0.0, choice))
         tasks = [task.matched_by(costs[task.pair]) for task in tasks]
+        before, times = sum(times), [t * (_LEARNED if task.cost == LEARNED else 1.0) for t, task in zip(times, tasks)]
+        expected = expected_factor(job.pairs, job.options.matching_cost, job.parameters.learned)
+        slow_down(progress, sum(times) / (expected * before or 1.0))
         workers = _workers(tasks, job, progress)
         try:
-            records = run_tasks(match_to_disk, tasks, workers, Part(progress, _CHOICE, 1.0), _describe)
+            records = run_tasks(match_to_disk, tasks, workers, Uneven(progress, choice, 1.0, times), _describe)
         except BaseException:
             drop_temporaries(job.folder)  # a worker that is ended while it writes cannot clean up
             raise
         return MatchingResult(records, {})
+
+    def share_left(self, job: MatchingJob) -> float:
+        places = list(_places(job))
+        return sum(not has_key(path, key) for _, _, path, key in places) / max(len(places), 1)
 
     def _tasks(self, job: MatchingJob) -> List[PairTask]:
         """Every pair over every tile that both of its views see, matched by intensities."""
@@ -89,12 +100,11 @@ class PairBackend:
                 altitudes=tile.altitudes,
                 pair=pair.names,
                 stretches=(job.stretches[pair.first], job.stretches[pair.second]),
-                path=os.path.join(job.folder, f"{tile.id}_{pair.first}_{pair.second}.tif"),
-                key=fingerprint(job.key, tile.id, pair.first, pair.second),
+                path=path,
+                key=key,
                 parameters=parameters,
             )
-            for tile, pair in product(job.tiles, job.pairs)
-            if pair.first in tile.views and pair.second in tile.views
+            for tile, pair, path, key in _places(job)
         ]
 
     def height_source(
@@ -116,6 +126,14 @@ class PairBackend:
         first, second = (scene.view(name) for name in record.pair)
         geometry = pair_geometry(pair, first, second, record.altitudes, crs, parameters.stereo)
         return wave_geometry(pair, geometry, first, second, record.altitudes, parameters.stereo)
+
+
+def _places(job: MatchingJob) -> Iterator[Tuple[Tile, ViewPair, str, str]]:
+    """Every tile with every pair of views that see it, the path of the height map, and its fingerprint."""
+    for tile, pair in product(job.tiles, job.pairs):
+        if pair.first in tile.views and pair.second in tile.views:
+            path = os.path.join(job.folder, f"{tile.id}_{pair.first}_{pair.second}.tif")
+            yield tile, pair, path, fingerprint(job.key, tile.id, pair.first, pair.second)
 
 
 class PairCost(NamedTuple):
@@ -176,8 +194,33 @@ def _workers(tasks: Sequence[PairTask], job: MatchingJob, progress: Progress) ->
     return workers_within(job.options.workers, tile_work(math.ceil(side), each), job.options.memory, progress)
 
 
-def choose_costs(job: MatchingJob, tasks: Sequence[PairTask], progress: Progress) -> Dict[Tuple[str, str], PairCost]:
-    """What each pair is matched by, by the names of its views.
+def expected_factor(pairs: Sequence[ViewPair], cost: str, parameters: LearnedParameters) -> float:
+    """How many times as long as by intensities matching may take: half of the pairs of several days are taken to be
+    unlike, and a fifth of those without dates."""
+    unsure = [is_unsure(pair, parameters) * (0.2 if pair.days is None else 0.5) for pair in pairs]
+    share = {INTENSITY: 0.0, LEARNED: 1.0}.get(cost, float(np.mean(unsure)))
+    return 1.0 + (_LEARNED - 1.0) * share
+
+
+def is_unsure(pair: ViewPair, parameters: LearnedParameters) -> bool:
+    """Whether a pair's images are not of one day, as far as is known: their intensities may not agree."""
+    return pair.days is None or pair.days >= parameters.least_days
+
+
+def unsure_tasks(job: MatchingJob, tasks: Sequence[PairTask]) -> List[PairTask]:
+    """A few tasks of each pair whose intensities may not agree, to be measured."""
+    p, measured = job.parameters.learned, []
+    if job.options.matching_cost == LEARNED:
+        return []
+    unsure = {pair.names for pair in job.pairs if is_unsure(pair, p)}
+    for names in sorted(unsure):
+        own = [task for task in tasks if task.pair == names]
+        measured += own[:: max(-(-len(own) // p.measured_tiles), 1)]
+    return measured
+
+
+def choose_costs(job: MatchingJob, measured: Sequence[PairTask], progress: Progress) -> Dict[Tuple[str, str], PairCost]:
+    """What each pair is matched by, by the names of its views; ``measured`` are :func:`unsure_tasks`.
 
     Images of one day are alike, and others where their intensities agree: where the coarse level of a few tiles has
     enough disparities that both directions of matching confirm. With ``auto``, unlike ones are matched by features.
@@ -185,13 +228,8 @@ def choose_costs(job: MatchingJob, tasks: Sequence[PairTask], progress: Progress
     chosen, p = job.options.matching_cost, job.parameters.learned
     if chosen == LEARNED:
         return {pair.names: PairCost(LEARNED) for pair in job.pairs}
-    unsure = {pair.names for pair in job.pairs if pair.days is None or pair.days >= p.least_days}
-    measured = []
-    for names in sorted(unsure):
-        own = [task for task in tasks if task.pair == names]
-        measured += own[:: max(-(-len(own) // p.measured_tiles), 1)]
     counts: Dict[Tuple[str, str], List[Tuple[int, int]]] = {}
-    workers = _workers(tasks, job, Silent())
+    workers = _workers(measured, job, Silent())
     for task, count in zip(measured, run_tasks(agreement, measured, workers, progress, _describe)):
         counts.setdefault(task.pair, []).append(count)
     shares = {}

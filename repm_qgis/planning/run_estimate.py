@@ -1,47 +1,71 @@
-"""How long the pipeline takes, and how much memory: estimated before its work begins, from what was measured.
+"""How long the pipeline takes, and how much memory: estimated before its work begins, from what was measured, and
+corrected by what it does.
 
 docs/benchmarks.md has the runs that the constants were fitted to: two to three images of 1 to 100 million pixels.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple, Sequence
+import time
+from typing import List, NamedTuple, Sequence, Tuple
 
 from ..contracts.records import ViewPair
 from ..runtime.memory import planned_mib
 from ..runtime.parallel import cores
-from ..runtime.progress import counted
+from ..runtime.progress import Part, Progress, counted
 from ..scene import Scene
 from ..stereo.parameters import STEREO
 from .disk_space import seen_px
 
-_START_S = 2.0  # of a core, whatever the images
-_PIXEL_S = 3.2e-6  # of a core, for each pixel of ground that a pair sees
+_START_S = 0.2  # of a core, whatever the images
+_VIEW_S = 0.25  # of a core, for the cameras of an image
+_TIES_S = 1.1  # of a core, for the tie points of a pair
+_MATCHED_PIXEL_S, _FUSED_PIXEL_S = 2.0e-6, 1.1e-6  # of a core, for each pixel of ground that a pair sees
 _OWN_SURFACE = 1.33  # where the terrain model refines on a surface that has to be found first
-_EIGHT_DIRECTIONS = 1.3  # of semi-global matching instead of three
+_EIGHT_DIRECTIONS = 1.55  # of semi-global matching instead of three
 _SHARED = 0.87  # of what so many workers could do, as they wait for each other
 _ENGINE_MIB = 160.0  # the engine itself, beside its workers
 
 
 class RunEstimate(NamedTuple):
-    """Seconds of one core, seconds by the clock with so many workers, and the memory of all of them, MiB."""
+    """Seconds by the clock of a run's stages with so many workers, and the memory of all of them, MiB."""
 
-    core_s: float
-    wall_s: float
+    cameras_s: float
+    ties_s: float
+    matching_s: float
+    fusion_s: float
     mib: float
     workers: int
 
+    @property
+    def wall_s(self) -> float:
+        return self.cameras_s + self.rest_s
+
+    @property
+    def rest_s(self) -> float:
+        """What follows when the cameras are there."""
+        return self.ties_s + self.matching_s + self.fusion_s
+
+    @property
+    def core_s(self) -> float:
+        """Seconds of one core."""
+        return self.cameras_s + self.rest_s * _speed(self.workers)
+
     def sentence(self) -> str:
         """What the log says of a run that begins."""
-        time, size = duration(self.wall_s), f"{self.mib / 1024:.1f} GiB"
-        workers = counted(self.workers, "worker")
-        return f"This run will take about {time} with {workers} and {size} of memory. A continued run takes less."
+        return f"This run will take about {self._needs()} of memory."
 
     def outlook(self) -> str:
         """What a page says of a run that may come."""
-        time, size = duration(self.wall_s), f"{self.mib / 1024:.1f} GiB"
-        workers = counted(self.workers, "worker")
-        return f"A DSM of all this ground will take about {time} with {workers} and {size} of memory."
+        return f"A DSM of all this ground will take about {self._needs()} of memory."
+
+    def _needs(self) -> str:
+        return f"{duration(self.wall_s)} with {counted(self.workers, 'worker')} and {self.mib / 1024:.1f} GiB"
+
+    def adapted(self, left: float, factor: float) -> RunEstimate:
+        """That of a run for which an earlier one has left but this share of the matching, which takes so many times as
+        long."""
+        return self._replace(ties_s=self.ties_s * (left > 0), matching_s=self.matching_s * left * factor)
 
 
 def estimate_run(
@@ -58,22 +82,87 @@ def estimate_run(
     slope = max(pair.base_to_height for pair in pairs)
     disparities = slope * (scene.altitudes[1] - scene.altitudes[0]) / scene.gsd_m
     seen = seen_px(scene, pairs) * (_OWN_SURFACE if own_surface else 1.0)
-    return estimate(seen, tile_px, len(scene.tiles) * len(pairs), workers, disparities, paths)
+    tied, tasks = sum(pair.tied for pair in pairs), len(scene.tiles) * len(pairs)
+    return estimate(
+        seen, tile_px, tasks, workers, views=len(scene.views), tied=tied, disparities=disparities, paths=paths
+    )
 
 
 def estimate(
-    pixels: float, tile_px: float, tasks: int, workers: int = 0, disparities: float = 0.0, paths: int = 3
+    pixels: float,
+    tile_px: float,
+    tasks: int,
+    workers: int = 0,
+    *,
+    views: int,
+    tied: int,
+    disparities: float = 0.0,
+    paths: int = 3,
 ) -> RunEstimate:
     """The same for so many pixels of ground that pairs see, all pairs together, in so many tasks of a tile's side."""
     count = max(1, min(workers or cores(), tasks))
-    work = _PIXEL_S * pixels * (_EIGHT_DIRECTIONS if paths == 8 else 1.0)
-    wall = _START_S + work / (count * (_SHARED if count > 1 else 1.0))
-    mib = _ENGINE_MIB + count * planned_mib(tile_px + 2 * STEREO.tile_margin_px, disparities, paths)
-    return RunEstimate(_START_S + work, wall, mib, count)
+    speed = _speed(count)
+    return RunEstimate(
+        cameras_s=_START_S + _VIEW_S * views,
+        ties_s=_TIES_S * tied / speed,
+        matching_s=_MATCHED_PIXEL_S * pixels * (_EIGHT_DIRECTIONS if paths == 8 else 1.0) / speed,
+        fusion_s=_FUSED_PIXEL_S * pixels / speed,
+        mib=_ENGINE_MIB + count * planned_mib(tile_px + 2 * STEREO.tile_margin_px, disparities, paths),
+        workers=count,
+    )
+
+
+def _speed(workers: int) -> float:
+    """How many times faster than one they are."""
+    return workers * (_SHARED if workers > 1 else 1.0)
+
+
+class TimeLeft(Part):
+    """The progress of a run whose rest was estimated: from then on its texts say how long it takes.
+
+    The time that the work has taken so far corrects the estimate, which counts as much as a twentieth of the rest does.
+    """
+
+    _TRUST = 0.05
+    _LEAST_S = 10.0  # nobody waits for less
+
+    def __init__(self, whole: Progress) -> None:
+        super().__init__(whole, 0.0, 1.0)
+        self._fraction, self._since, self._trust = 0.0, 0.0, 0.0
+        self._parts: List[Tuple[float, float, float]] = []
+
+    def expect(self, seconds: float) -> None:
+        """The rest is expected to take so many seconds, evenly over its fractions."""
+        self._since, self._trust = time.monotonic(), self._TRUST * seconds
+        self._parts = [(self._fraction, 1.0, seconds)]
+
+    def slow_down(self, factor: float, end: float = 1.0) -> None:
+        changed = []
+        for low, high, seconds in self._parts:
+            ends = sorted({low, high, *(each for each in (self._fraction, end) if low < each < high)})
+            for a, b in zip(ends, ends[1:]):
+                slow = factor if self._fraction <= a and b <= end else 1.0
+                changed.append((a, b, slow * seconds * (b - a) / (high - low)))
+        self._parts = changed
+
+    def seconds_left(self) -> float:
+        """0 before anything is expected."""
+        done = [min(max((self._fraction - low) / (high - low), 0.0), 1.0) for low, high, _ in self._parts]
+        whole, past = sum(part[2] for part in self._parts), sum(d * part[2] for d, part in zip(done, self._parts))
+        if not whole:
+            return 0.0
+        return (whole - past) * (time.monotonic() - self._since + self._trust) / (past + self._trust)
+
+    def step(self, fraction: float, text: str = "") -> None:
+        self._fraction = max(self._fraction, fraction)
+        left = self.seconds_left()
+        super().step(fraction, f"{text}, about {duration(left)} left" if text and left >= self._LEAST_S else text)
 
 
 def duration(seconds: float) -> str:
     """A time in words, no more exact than the estimate."""
     if seconds < 90:
         return f"{max(5, 5 * round(seconds / 5))} s"
-    return f"{seconds / 60:.0f} minutes" if seconds < 5400 else f"{seconds / 3600:.1f} hours"
+    if seconds < 5400:
+        return f"{round(seconds / 30) / 2:g} minutes" if seconds < 600 else f"{seconds / 60:.0f} minutes"
+    return f"{seconds / 3600:.1f} hours"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import threading
+from itertools import accumulate
 from typing import Callable, Iterable, List, Optional, Protocol, Sequence, TextIO
 
 from ..contracts.findings import Finding
@@ -79,6 +80,31 @@ class Part:
 
     def check_cancelled(self) -> None:
         self._whole.check_cancelled()
+
+    def slow_down(self, factor: float, end: float = 1.0) -> None:
+        """What comes until ``end`` takes so many times as long as was expected."""
+        if isinstance(self._whole, Part):
+            self._whole.slow_down(factor, self._start + (self._end - self._start) * end)
+
+
+def slow_down(progress: Progress, factor: float) -> None:
+    """The rest of a part takes so many times as long as was expected; who does not expect anything is not told."""
+    if isinstance(progress, Part):
+        progress.slow_down(factor)
+
+
+class Uneven(Part):
+    """The share [start, end] of a longer progress for tasks that take these unequal ``times``, but report equal
+    steps."""
+
+    def __init__(self, whole: Progress, start: float, end: float, times: Sequence[float]) -> None:
+        super().__init__(whole, start, end)
+        self._ends = [0.0, *accumulate(times)]
+
+    def step(self, fraction: float, text: str = "") -> None:
+        last = len(self._ends) - 1
+        index = min(int(fraction * last + 1e-6), last)  # of the tasks that have ended
+        super().step(self._ends[index] / (self._ends[-1] or 1.0), text)
 
 
 class Recorder(Part):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import List, Optional, Tuple
@@ -30,12 +31,13 @@ from ..registration.laying import prior_of
 from ..reports.styles import write_style
 from ..runtime.memory import Work, fitting_mib, fusing_mib, tile_work, workers_within
 from ..runtime.parallel import run_tasks, run_whole
-from ..runtime.progress import Part, Progress, counted
+from ..runtime.progress import Part, Progress, Uneven, counted
 from ..runtime.workspace import ensure_folder, fingerprint
 from ..scene import Scene
 from .parameters import EngineParameters
 
-_TILES = 0.8  # of the fusion's progress, for the tiles
+_TILES = 0.7  # of the fusion's progress, for the tiles
+_KEPT = 0.02  # of the time of a tile, for one that an earlier run has fused
 
 
 @dataclass(frozen=True)
@@ -81,11 +83,12 @@ def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredT
     places = zip(scene.tiles, layout.windows)
     tasks = [replace(task, bounds=tile.bounds, records=tile.heights, window=window) for tile, window in places]
     ensure_folder(str(fusion.folder))
+    works = [(task, f"{fusion.folder}/{i}.npz") for i, task in enumerate(tasks)]
     stored: List[StoredTile] = run_tasks(
         fuse_to_disk,
-        [(task, f"{fusion.folder}/{i}.npz") for i, task in enumerate(tasks)],
+        works,
         _workers(fusion, progress),
-        Part(progress, 0.0, _TILES),
+        Uneven(progress, 0.0, _TILES, [_KEPT if os.path.exists(path) else 1.0 for _, path in works]),
         lambda work: f"fusing {work[0].records[0].tile}",
     )
     reused = sum(tile.reused for tile in stored)

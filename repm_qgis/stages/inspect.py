@@ -70,17 +70,19 @@ def run(options: InspectOptions, progress: Progress, parameters: EngineParameter
     )
 
 
-def _estimate(seen: Sequence[float], tile_px: int) -> Optional[RunEstimate]:
+def _estimate(seen: Sequence[float], views: int, tile_px: int) -> Optional[RunEstimate]:
     """The time and memory of matching pairs that see so many pixels of ground each; None without a pair."""
     if not seen:
         return None
     tasks = sum(math.ceil(pixels / tile_px**2) for pixels in seen)
-    return estimate(sum(seen), max(min(math.sqrt(pixels), tile_px) for pixels in seen), tasks)
+    side = max(min(math.sqrt(pixels), tile_px) for pixels in seen)
+    return estimate(sum(seen), side, tasks, views=views, tied=len(seen))
 
 
 def _outlook(places: Sequence[Place], tile_px: int) -> str:
     """About how long a DSM of all the ground takes, and how much memory; "" where there is none to make."""
-    expected = _estimate([px for place in places for px in _all_px(place)], tile_px)
+    seen = [px for place in places for px in _all_px(place)]
+    expected = _estimate(seen, sum(len(place.images) for place in places), tile_px)
     return expected.outlook() if expected else ""
 
 
@@ -98,7 +100,7 @@ def _choices(places: Sequence[Place], tile_px: int) -> List[Choice]:
         if sets and len(views) > max(len(names) for names, _ in sets):
             sets.append((tuple(views), _all_px(place)))
         for names, seen in sets:
-            expected = _estimate(seen, tile_px)
+            expected = _estimate(seen, len(names), tile_px)
             if expected is not None:
                 found.append(Choice(tuple(views[name] for name in names), expected.wall_s))
         if found:

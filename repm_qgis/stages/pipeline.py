@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from itertools import accumulate
 from pathlib import Path
 from typing import Callable, Dict, List, Sequence, TypeVar
 
@@ -19,7 +20,7 @@ from ..matching.backends import matched_pairs, require, resolve
 from ..names import scene_title
 from ..planning.disk_space import Need, fusion_needs, heights_need, require_space
 from ..planning.overlap import views_of
-from ..planning.run_estimate import estimate_run
+from ..planning.run_estimate import TimeLeft
 from ..pointing.control_places import require_places
 from ..pointing.ground_control import read_gcps
 from ..reports.stage_reports import pipeline_report
@@ -32,9 +33,8 @@ from . import dsmfuse, epmfit, preview, reconstruct, refine, register
 from .early import cell_of, require_cell, require_ortho_cell
 from .parameters import ENGINE, EngineParameters
 
-_REDUCED = 0.1  # of the progress, for the images of a preview
-_SHARES = {"epmfit": 0.15, "refine": 0.2, "reconstruct": 0.85, "register": 0.9, "dsmfuse": 1.0}
-"""The progress of the whole at the end of each stage."""
+_REDUCED, _FITTED, _REFINED = 0.05, 0.08, 0.1
+"""The progress of the whole when the images of a preview are there, the cameras, and their refinement."""
 Own = TypeVar("Own", bound=Options)
 R = TypeVar("R", bound=Result)
 
@@ -42,10 +42,11 @@ R = TypeVar("R", bound=Result)
 def run(options: PipelineOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> PipelineResult:
     """Run all stages; gives every product, and the seconds of each stage."""
     with kept_workers():
-        return _run(options, Recorder(progress), parameters)
+        return _run(options, TimeLeft(progress), parameters)
 
 
-def _run(options: PipelineOptions, progress: Recorder, parameters: EngineParameters) -> PipelineResult:
+def _run(options: PipelineOptions, clock: TimeLeft, parameters: EngineParameters) -> PipelineResult:
+    progress = Recorder(clock)
     if options.preset != "none":
         values = ", ".join(f"{name.upper()} {value}" for name, value in PRESETS[options.preset].items())
         progress.info(f"Preset {options.preset}: {values}, where they are not given.")
@@ -59,16 +60,16 @@ def _run(options: PipelineOptions, progress: Recorder, parameters: EngineParamet
         parameters = preview.parameters_of(parameters, reduced.step)
         begin, seconds[PREVIEW] = _REDUCED, round(time.monotonic() - start, 3)
 
-    def stage(name: str, title: str, work: Callable[[Own, Progress, EngineParameters], R], own: Own) -> R:
+    def stage(end: float, name: str, title: str, work: Callable[[Own, Progress, EngineParameters], R], own: Own) -> R:
         nonlocal begin
         start = time.monotonic()
-        part = Part(progress, begin, _SHARES[name], title)
+        part = Part(progress, begin, end, title)
         part.step(0.0, "begins")
         result = work(own, part, parameters)
-        begin, seconds[name] = _SHARES[name], round(time.monotonic() - start, 3)
+        begin, seconds[name] = end, round(time.monotonic() - start, 3)
         return result
 
-    first = stage("epmfit", "Pinhole cameras", epmfit.run, options.fit)
+    first = stage(_FITTED, "epmfit", "Pinhole cameras", epmfit.run, options.fit)
     scene = Scene.load(first.scene)
     xmin, ymin, xmax, ymax = bounds_of(ogr.CreateGeometryFromWkt(scene.area))
     require_cell(options.fuse.resolution, min(xmax - xmin, ymax - ymin), scene.gsd_m, parameters.tiles)
@@ -78,16 +79,19 @@ def _run(options: PipelineOptions, progress: Recorder, parameters: EngineParamet
         register.require_references(options.register, scene, progress, parameters)
     pairs = reconstruct.pairs_of(scene, options.reconstruct, parameters)
     backend = resolve(options.reconstruct.backend)[0]
-    if backend.name == "sgm" and not options.reconstruct.cluster:  # other backends were not measured
-        own_surface, workers = options.reconstruct.own_surface, options.reconstruct.workers
-        paths = parameters.of_quality(options.reconstruct.quality).matching.sgm.paths
-        progress.info(estimate_run(scene, pairs, own_surface, workers, paths).sentence())
     require_space("this run", _needs(options, scene, matched_pairs(pairs, backend), parameters), progress)
-    stage("refine", "Refinement", refine.run, options.refine)
-    heights = stage("reconstruct", "Reconstruction", reconstruct.run, options.reconstruct)
+    stage(_REFINED, "refine", "Refinement", refine.run, options.refine)
+    expected = reconstruct.expected(options.reconstruct, parameters)
+    if backend.name == "sgm" and not options.reconstruct.cluster:  # other backends were not measured
+        progress.info(expected.sentence())
+    last = [expected.ties_s + expected.matching_s, expected.fusion_s * (options.register is not None)]
+    rest = sum(last) + expected.fusion_s
+    clock.expect(rest)
+    matched, registered = (_REFINED + (1.0 - _REFINED) * end / rest for end in accumulate(last))
+    heights = stage(matched, "reconstruct", "Reconstruction", reconstruct.run, options.reconstruct)
     if options.register is not None:
-        stage("register", "Registration", register.run, options.register)
-    fused = stage("dsmfuse", "Fusion", dsmfuse.run, options.fuse)
+        stage(registered, "register", "Registration", register.run, options.register)
+    fused = stage(1.0, "dsmfuse", "Fusion", dsmfuse.run, options.fuse)
     scene_path = options.fuse.scene
     scene = Scene.load(scene_path)
     if scene.preset != options.preset:

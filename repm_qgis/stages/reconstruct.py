@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Callable, Dict, List, Optional, Sequence, Tuple
 
@@ -25,11 +25,14 @@ from ..imagery.parameters import StretchParameters
 from ..imagery.raster import raster_identity
 from ..matching.backends import Backend, MatchingJob, match_scene, matched_pairs, pair_matcher, resolve
 from ..matching.coarse_surface import coarse_surface
+from ..matching.pair_backend import expected_factor
+from ..matching.parameters import MatchingParameters
 from ..names import scene_title
 from ..planning.advice import advice
 from ..planning.altitudes import AltitudeParameters
 from ..planning.disk_space import heights_need, require_space
 from ..planning.pair_selection import choose_pairs
+from ..planning.run_estimate import RunEstimate, estimate_run
 from ..pointing.adjustment import Adjustment
 from ..pointing.control_heights import heights_off
 from ..pointing.control_places import require_places
@@ -49,28 +52,66 @@ from ..ties.tracks import Track
 from .parameters import ENGINE, EngineParameters, TileParameters
 from .refine import refined_tiles, with_surface
 
+_END = 0.98  # of the progress, for ties and matching
 Stretches = Dict[str, Stretch]  # by the views' names
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """What a run begins with; ``key`` is the fingerprint of all that its height maps depend on."""
+
+    scene: Scene
+    backends: List[Backend]
+    gcps: List[Gcp]
+    elsewhere: List[Finding]
+    key: str
+
+    @classmethod
+    def of(cls, options: ReconstructOptions, parameters: EngineParameters) -> _Inputs:
+        backends = resolve(options.backend)
+        scene = Scene.load(options.scene)
+        scene.require_images()
+        if not scene.refinement:
+            scene = replace(scene, refinement="polynomial")
+        elsewhere: List[Finding] = []
+        gcps = read_gcps(options.gcps, scene.views, options.gcp_datum, elsewhere.append) if options.gcps else []
+        # The contents of control points: QGIS writes those of a layer into another temporary file for every run.
+        control = [gcp.to_mapping() for gcp in gcps] or None
+        chosen = backends[0].name, options.pointing, options.adjustment, options.own_surface, control
+        files = [raster_identity(path) for v in scene.views for path in (v.image, v.mask) if path]
+        few = [options.pairs] if options.pairs != "best" else []
+        others = *backends[0].settings(options), *few, *parameters.in_fingerprint()
+        key = fingerprint("reconstruct", scene.fingerprint, *chosen, files, *others)
+        return cls(scene, backends, gcps, elsewhere, key)
+
+    def job(
+        self, scene: Scene, stretches: Stretches, options: ReconstructOptions, parameters: MatchingParameters
+    ) -> MatchingJob:
+        """The matching of a scene that is made from these."""
+        folder = heights_folder(options)
+        return MatchingJob(scene, scene.tiles, scene.pairs, stretches, options, self.key, folder, parameters)
+
+
+def expected(options: ReconstructOptions, parameters: EngineParameters = ENGINE) -> RunEstimate:
+    """The time and memory from images to the DSM, without what an earlier run has left of the height maps."""
+    parameters = parameters.of_quality(options.quality)
+    inputs = _Inputs.of(options, parameters)
+    pairs = pairs_of(inputs.scene, options, parameters)
+    if reusable(options.output_scene, "reconstruct", inputs.key) is not None:
+        left = 0.0
+    else:
+        job = inputs.job(replace(inputs.scene, pairs=tuple(pairs)), {}, options, parameters.matching)
+        left = inputs.backends[0].share_left(job)
+    estimate = estimate_run(inputs.scene, pairs, options.own_surface, options.workers, parameters.matching.sgm.paths)
+    return estimate.adapted(left, expected_factor(pairs, options.matching_cost, parameters.matching.learned))
 
 
 def run(options: ReconstructOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> ReconstructResult:
     """Point the views relative to each other, match tiles; gives the scene with height maps, ties, and the folder."""
     start, parameters, notes = time.monotonic(), parameters.of_quality(options.quality), Recorder(progress)
-    backends = resolve(options.backend)
-    scene = Scene.load(options.scene)
-    scene.require_images()
-    if not scene.refinement:
-        scene = replace(scene, refinement="polynomial")
-    elsewhere: List[Finding] = []
-    gcps = read_gcps(options.gcps, scene.views, options.gcp_datum, elsewhere.append) if options.gcps else []
-    require_places(gcps, scene.views, options.gcps or "", parameters.pointing)
-    # The fingerprint takes the contents of control points: QGIS writes those of a layer into another temporary file for
-    # every run.
-    control = [gcp.to_mapping() for gcp in gcps] or None
-    chosen = backends[0].name, options.pointing, options.adjustment, options.own_surface, control
-    files = [raster_identity(path) for v in scene.views for path in (v.image, v.mask) if path]
-    few = [options.pairs] if options.pairs != "best" else []
-    others = *backends[0].settings(options), *few, *parameters.in_fingerprint()
-    key = fingerprint("reconstruct", scene.fingerprint, *chosen, files, *others)
+    inputs = _Inputs.of(options, parameters)
+    scene, backends, key = inputs.scene, inputs.backends, inputs.key
+    require_places(inputs.gcps, scene.views, options.gcps or "", parameters.pointing)
     place = Path(options.output_scene)
     report_path = str(place.with_name("reconstruction.html"))
     folder = ensure_folder(heights_folder(options))
@@ -79,20 +120,22 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         maps = counted(sum(len(t.heights) for t in done.tiles), "height map")
         progress.info(f"Reused {maps} and the relative pointing in '{options.output_scene}'.")
     else:
-        warn_all(notes, elsewhere)
+        warn_all(notes, inputs.elsewhere)
         pairs = pairs_of(scene, options, parameters)
         require_space("matching", [heights_need(scene, matched_pairs(pairs, backends[0]), str(folder))], progress)
         ties = f"{folder_of(place, 'tie_points')}.gpkg"
         scene = replace(scene, path=place, pairs=tuple(pairs), tie_points=ties, backend=backends[0].name)
         _log_pairs(scene, notes)
-        stretches = _stretches(scene, options.workers, parameters, Part(notes, 0.0, 0.02))
-        scene = _pointed(scene, stretches, gcps, options, parameters, Part(notes, 0.02, 0.35))
-        scene = _with_coarse_surface(scene, stretches, backends[0], options, parameters, Part(notes, 0.35, 0.4))
-        matching = parameters.matching
-        job = MatchingJob(scene, scene.tiles, scene.pairs, stretches, options, key, str(folder), matching)
-        scene = _matched(job, backends, parameters.tiles, Part(notes, 0.4, 0.98))
-        part = Part(notes, 0.98, 1.0)
-        scene = with_agreeing_maps(scene, options.workers, options.memory, part, parameters.fusion, matching)
+        times = expected(options, parameters)
+        tied = _END * times.ties_s / (times.ties_s + times.matching_s)
+        stretches = _stretches(scene, options.workers, parameters, Part(notes, 0.0, 0.1 * tied))
+        scene = _pointed(scene, stretches, inputs.gcps, options, parameters, Part(notes, 0.1 * tied, 0.8 * tied))
+        part = Part(notes, 0.8 * tied, tied)
+        scene = _with_coarse_surface(scene, stretches, backends[0], options, parameters, part)
+        job = inputs.job(scene, stretches, options, parameters.matching)
+        scene = _matched(job, backends, parameters.tiles, Part(notes, tied, _END))
+        part = Part(notes, _END, 1.0)
+        scene = with_agreeing_maps(scene, options.workers, options.memory, part, parameters.fusion, parameters.matching)
         scene.require_same_images()  # at the end, too: one may have been replaced during the work
         warn_all(notes, of_run(scene))
         seconds, changes = time.monotonic() - start, parameters.changes()

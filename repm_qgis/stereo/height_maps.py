@@ -186,6 +186,15 @@ def finished_record(path: str, key: str) -> Optional[HeightMapRecord]:
     return replace(record, file=path, reused=True)
 
 
+def has_key(path: str, key: str) -> bool:
+    """Whether there is a height map with this fingerprint; its contents are not read."""
+    try:
+        with opened(path) as dataset:
+            return bool(dataset.GetMetadataItem(_KEY) == key)
+    except ImageError:
+        return False
+
+
 def is_whole(record: HeightMapRecord) -> bool:
     """Whether the file of a height map is there, and holds what was written."""
     try:

@@ -199,7 +199,7 @@ def test_what_a_pair_is_matched_by(monkeypatch, chosen, days, agreed, cost, unli
 
     monkeypatch.setattr(pair_backend, "run_tasks", counts)
     monkeypatch.setattr(pair_backend, "_workers", lambda *_: 1)
-    found = pair_backend.choose_costs(job, tasks, told)["a", "b"]
+    found = pair_backend.choose_costs(job, pair_backend.unsure_tasks(job, tasks), told)["a", "b"]
     assert found.cost == cost and found.unlike == unlike
     assert found.alike == (agreed / 100 if measured and cost == LEARNED or unlike else 1.0)
     assert len(measured) == (0 if chosen == LEARNED or days == 0.4 else 3)
