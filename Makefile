@@ -30,7 +30,7 @@ test-all: setup ## all of them
 bench: setup ## DSMs of truth scenes and real images, beside S2P's and CARS's where these are on PATH (writes docs/benchmarks/dsm.md)
 	@$(PYTHON) benchmarks dsm --write
 
-bench-%: setup ## one subject, written to docs/benchmarks/NAME.md: ablation answers beside_open3d building_parts buildings clouds cluster cluster_plan confidence cuda earthquake epm files frames fusion input jitter large masks matching mosaic ortho_ready orthophoto own_rpcs pointing real registration seasons series speed subpixel tiles towns twins views water
+bench-%: setup ## one subject, written to docs/benchmarks/NAME.md: ablation answers beside_open3d building_parts buildings clouds cluster confidence cuda earthquake epm files frames fusion input jitter large masks matching mosaic ortho_ready orthophoto own_rpcs pointing real registration seasons series speed subpixel tiles towns twins views water
 	@$(PYTHON) benchmarks $* --write
 
 bench-faults: setup ## kills, cancels, full disks, two runs at once, damaged files: tried and held (hours; SHARE=0.1 for a tenth)
