@@ -54,7 +54,8 @@ def _sharpening() -> List[str]:
     size = quick_size(1000)
     folder = CACHE / f"colours_{size}"
     made_once(folder, lambda: make_colour_scene(SceneSpec.default("urban", size, 5), str(folder)))
-    images, truth = sorted(str(path) for path in folder.glob("img_0?.tif")), str(folder / "colours.tif")
+    every, truth = sorted(str(path) for path in folder.glob("img_0?.tif")), str(folder / "colours.tif")
+    images = every[: 2 if is_quick() else None]
     with tempfile.TemporaryDirectory() as work:
         options = {"colour": "all", "resolution": 0.5, "ortho_resolution": 0.5}
         made = {name: f"{work}/{name}.tif" for name in ("pansharpened", "resampled")}
