@@ -62,11 +62,6 @@ class RunEstimate(NamedTuple):
     def _needs(self) -> str:
         return f"{duration(self.wall_s)} with {counted(self.workers, 'worker')} and {self.mib / 1024:.1f} GiB"
 
-    def adapted(self, left: float, factor: float) -> RunEstimate:
-        """That of a run for which an earlier one has left but this share of the matching, which takes so many times as
-        long."""
-        return self._replace(ties_s=self.ties_s * (left > 0), matching_s=self.matching_s * left * factor)
-
 
 def estimate_run(
     scene: Scene, pairs: Sequence[ViewPair], own_surface: bool = False, workers: int = 0, paths: int = 3

@@ -97,13 +97,12 @@ def expected(options: ReconstructOptions, parameters: EngineParameters = ENGINE)
     parameters = parameters.of_quality(options.quality)
     inputs = _Inputs.of(options, parameters)
     pairs = pairs_of(inputs.scene, options, parameters)
-    if reusable(options.output_scene, "reconstruct", inputs.key) is not None:
-        left = 0.0
-    else:
-        job = inputs.job(replace(inputs.scene, pairs=tuple(pairs)), {}, options, parameters.matching)
-        left = inputs.backends[0].share_left(job)
+    job = inputs.job(replace(inputs.scene, pairs=tuple(pairs)), {}, options, parameters.matching)
+    left = inputs.backends[0].share_left(job)
+    pointed = not left and reusable(options.output_scene, "reconstruct", inputs.key) is not None
     estimate = estimate_run(inputs.scene, pairs, options.own_surface, options.workers, parameters.matching.sgm.paths)
-    return estimate.adapted(left, expected_factor(pairs, options.matching_cost, parameters.matching.learned))
+    factor = left * expected_factor(pairs, options.matching_cost, parameters.matching.learned)
+    return estimate._replace(ties_s=0.0 if pointed else estimate.ties_s, matching_s=factor * estimate.matching_s)
 
 
 def run(options: ReconstructOptions, progress: Progress, parameters: EngineParameters = ENGINE) -> ReconstructResult:
@@ -127,7 +126,7 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         scene = replace(scene, path=place, pairs=tuple(pairs), tie_points=ties, backend=backends[0].name)
         _log_pairs(scene, notes)
         times = expected(options, parameters)
-        tied = _END * times.ties_s / (times.ties_s + times.matching_s)
+        tied = _END * times.ties_s / ((times.ties_s + times.matching_s) or 1.0)
         stretches = _stretches(scene, options.workers, parameters, Part(notes, 0.0, 0.1 * tied))
         scene = _pointed(scene, stretches, inputs.gcps, options, parameters, Part(notes, 0.1 * tied, 0.8 * tied))
         part = Part(notes, 0.8 * tied, tied)
