@@ -315,12 +315,12 @@ class RegistrationFigures(Record):
 
     ``shift`` is all that was added to the ground since matching; ``matched`` is the pointing of each view that the
     height maps were matched with. ``latest`` is what the last registration added, with the standard deviations of its
-    east, north and up; ``determined`` are the horizontal directions that it determined. ``control``: ground control
-    points had a weight, too. ``promised_m`` are the expected errors without it (CE90, LE90). ``pointing_px`` is the
-    largest error of the shift as pointing. ``differences`` is a raster of the references minus the surface, before and
-    after. ``waves_m`` is the NMAD of a reference's differences from the maps, without and with the waves along the
-    parallax that it has shown, None where it has shown none; ``waves_px`` is the largest of these. ``matched_waves``
-    are then those that the maps were matched with, of views that had some.
+    east, north and up, and of its tilt (m per m); ``determined`` are the horizontal directions that it determined.
+    ``control``: ground control points had a weight, too. ``promised_m`` are the expected errors without it (CE90,
+    LE90). ``pointing_px`` is the largest error of the shift as pointing. ``differences`` is a raster of the references
+    minus the surface, before and after. ``waves_m`` is the NMAD of a reference's differences from the maps, without and
+    with the waves along the parallax that it has shown, None where it has shown none; ``waves_px`` is the largest of
+    these. ``matched_waves`` are then those that the maps were matched with, of views that had some.
     """
 
     shift: GroundShift
@@ -338,6 +338,7 @@ class RegistrationFigures(Record):
     matched_waves: Dict[Name, PackedWaves] = dataclasses.field(default_factory=dict)
     waves_m: Optional[Tuple[Metres, Metres]] = None
     waves_px: Pixels = 0.0
+    tilt_deviation: Tuple[float, float] = (0.0, 0.0)
 
     def unexpected(self) -> List[Tuple[str, float, float]]:
         """The parts of the shift that are larger than expected, beyond two deviations: direction, size and expected

@@ -182,8 +182,8 @@ def solved_on(
     """The surface as a reference sees it, and the shift that lays it on that.
 
     A point stands for itself, and a town's surface has as many shifts that fit a few hundred points as it has edges
-    near them. So the position is found on means over some cells, and the height, which has no such choice, on the
-    surface itself. Raises EmptyResultError where too few heights lie on the surface.
+    near them. So the position is found on means over some cells, and the height and tilt, which have no such choice, on
+    the surface itself. Raises EmptyResultError where too few heights lie on the surface.
     """
     means = SupportMeans(surface.grid, surface.height, reference, parameters.covered)
     if max(reference.width_m) > 0.0:
@@ -192,7 +192,7 @@ def solved_on(
     wide = replace(reference, width_m=(side, side))
     around = SupportMeans(surface.grid, surface.height, wide, parameters.covered)
     shift = solve_shift(around, wide, prior, tilted, check, parameters)
-    return means, shift if any(shift.ground.tilt) else with_height(shift, means, reference, check, parameters)
+    return means, with_height(shift, means, reference, check, parameters)
 
 
 def lay(

@@ -144,20 +144,26 @@ def with_height(
     check: Callable[[], None] = lambda: None,
     parameters: RegistrationParameters = REGISTRATION,
 ) -> Shift:
-    """A shift with the height that another surface gives in its place: one that was not averaged for the position."""
-    problem, none = _Problem(surface, reference, parameters), np.empty((0, 2))
-    solution, own, correlation = problem.determined(shift.moved, none, False, check)
+    """A shift with the height, and the tilt where it has one, that another surface gives in its place: one that was not
+    averaged for the position."""
+    problem, none, tilted = _Problem(surface, reference, parameters), np.empty((0, 2)), any(shift.ground.tilt)
+    solution, own, correlation = problem.determined(np.array([*shift.moved, *shift.ground.tilt]), none, tilted, check)
     seen, xyz, weight = solution.seen, reference.xyz, solution.weight / solution.noise**2
-    slopes = -(weight @ solution.design[:, :2]) / weight.sum()  # how the height follows the position
+    basis = _basis(none, tilted)
+    weighted = (solution.design @ basis * weight[:, None]).T
+    follows = np.column_stack(  # how the height and the tilt follow the position
+        [estimation.step(weighted @ solution.design @ basis, -weighted @ each, basis) for each in solution.design.T[:2]]
+    )
     known = shift.determined.T @ shift.determined
-    covariance = shift.covariance.copy()
-    position = known @ covariance[:2, :2] @ known
-    covariance[2, :] = covariance[:, 2] = np.array([*(position @ slopes), 0.0, 0.0, 0.0])
-    covariance[2, 2] = (own + _floor(surface, parameters))[2, 2] + slopes @ position @ slopes
-    moved = float(solution.unknowns[0]), float(solution.unknowns[1]), float(solution.unknowns[2])
+    position = known @ shift.covariance[:2, :2] @ known
+    covariance = own + _floor(surface, parameters) + follows @ position @ follows.T
+    covariance[:2, :2] = shift.covariance[:2, :2]
+    covariance[:2] += position @ follows.T
+    covariance[:, :2] += follows @ position
+    east, north, up, *tilt = map(float, solution.unknowns)
     return replace(
         shift,
-        ground=replace(shift.ground, moved=moved),
+        ground=replace(shift.ground, moved=(east, north, up), tilt=(tilt[0], tilt[1])),
         covariance=covariance,
         xy=xyz[seen, :2],
         before_m=xyz[seen, 2] - surface.at(xyz[seen, 0], xyz[seen, 1])[0],
@@ -314,8 +320,9 @@ class _Problem:
         self.centre = np.array(surface.middle)
 
     def solve(self, start: FloatArray, free: FloatArray, tilted: bool, check: Callable[[], None]) -> _Solution:
-        """Gauss-Newton steps with Tukey's weights; ``free`` (k, 2) are the horizontal directions that may change."""
-        p, unknowns = self._parameters, np.array([*start, 0.0, 0.0])
+        """Gauss-Newton steps with Tukey's weights, from (3,) a shift or (5,) with a tilt; ``free`` (k, 2) are the
+        horizontal directions that may change."""
+        p, unknowns = self._parameters, np.pad(start, (0, 5 - len(start)))
         basis = _basis(free, tilted)
         for iteration in range(p.iterations):
             check()

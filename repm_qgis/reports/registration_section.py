@@ -61,7 +61,8 @@ def add_registration(page: Report, figures: RegistrationFigures) -> None:
         f"vendors' promise and, for the height, from how well their RPCs agree.{control}",
     )
     if any(figures.latest.tilt):
-        tilt = ", ".join(f"{1000 * each:+.3f}" for each in figures.latest.tilt)
+        tilts = zip(figures.latest.tilt, figures.tilt_deviation)
+        tilt = ", ".join(f"{1000 * each:+.3f} ± {1000 * deviation:.3f}" for each, deviation in tilts)
         page.facts([("Tilt to the east and north", f"{tilt} m per km")])
     if figures.references:
         page.table(

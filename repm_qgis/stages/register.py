@@ -295,12 +295,13 @@ def _moved(
     if scene.tie_points and os.path.exists(scene.tie_points):
         ties = copy_layer(scene.tie_points, f"{folder_of(scene.path, 'tie_points')}.gpkg", placed.ground)
         write_style("tie_points", ties)
-    east, north, up = map(float, placed.deviations)
+    east, north, up, *tilt = map(float, np.sqrt(np.diag(placed.covariance)))
     figures = RegistrationFigures(
         shift=before.shift.then(placed.ground) if before else placed.ground,
         matched=before.matched if before else {view.name: view.pointing for view in scene.views},
         latest=placed.ground,
         deviation=(east, north, up),
+        tilt_deviation=(tilt[0], tilt[1]),
         determined=tuple((float(a), float(b)) for a, b in placed.determined),
         control=scene.pointing is not None and scene.pointing.control_information is not None,
         promised_m=_promise(work, parameters),

@@ -148,3 +148,19 @@ def test_a_few_draws_of_points_are_within_three_deviations():
         error, deviation, determined = draw(seed, points)
         assert (np.abs(error) < 3.0 * deviation).all() and determined == 2
         assert 0.05 < deviation[0] < 0.3 and 0.01 < deviation[2] < 0.06
+
+
+def test_points_give_the_height_of_a_tilted_scene_without_what_stands_beside_them():
+    """A hill with a post in every third cell raises means: with a tilt, heights were those of means."""
+    rng, size, tilt = np.random.default_rng(3), 240, np.array([3e-3, -2e-3])
+    row, column = np.indices((size, size))
+    height = 20.0 * np.sin(column / 17.0) * np.cos(row / 23.0) + 5.0 * ((row % 3 == 1) & (column % 3 == 1))
+    x, y = WEST + (column + 0.5) * CELL, NORTH - (row + 0.5) * CELL
+    middle = np.array([WEST, NORTH]) + np.array([0.5, -0.5]) * size * CELL
+    own = height - 3.0 - tilt[0] * (x - middle[0]) - tilt[1] * (y - middle[1]) + rng.normal(0.0, 0.02, height.shape)
+    some = rng.choice(np.flatnonzero(row % 3 == 0), 800, replace=False)
+    xyz = np.column_stack([each.ravel()[some] for each in (x, y, height)])
+    surface = OwnSurface(UTM, CellGrid(WEST, NORTH, CELL, own.shape), own)
+    shift = solved_on(surface, Reference("points", xyz, (0.0, 0.0)), PRIOR, True)[1]
+    assert shift.moved[2] == pytest.approx(3.0, abs=0.03) and shift.deviations[2] < 0.02
+    assert shift.ground.tilt == pytest.approx(tilt, abs=1e-4)
