@@ -207,26 +207,51 @@ def measure_dsm(found: GcpAccuracy, dsm: gdal.Dataset, points: str, parameters: 
 def _displaced(
     found: GcpAccuracy, warper: HeightWarper, points: str, ellipsoid: str, parameters: GcpParameters
 ) -> List[Finding]:
-    """Whether the points fit to the DSM much better beside their place, up to so many steps."""
+    """Whether the points fit to the DSM much better beside their place, up to so many steps, than chance lets as few of
+    them fit somewhere."""
     known = [gcp for gcp, up in zip(found.gcps, found.errors["dsm"][:, 2]) if np.isfinite(up)]
     if len(known) < parameters.least_searched:
         return []
-    step, reach = max(parameters.search_step_m, found.cell_m), parameters.search_steps
-    high, side, away = step / _METRES_PER_DEGREE, 2 * reach + 1, []
-    for gcp in known:
+    step, reach, places = max(parameters.search_step_m, found.cell_m), parameters.search_steps, 0
+    here, by, least = math.nan, np.zeros(2), math.inf
+    for step_m, steps in ((step, reach), (step / parameters.search_finer, parameters.search_finer)):
+        misfit = _misfits(known, warper, points, ellipsoid, by, step_m, steps)
+        here = float(misfit[steps, steps]) if math.isnan(here) else here
+        places += int(np.isfinite(misfit).sum())
+        if misfit.min() < least:  # finer steps see more of the noise
+            row, column = np.unravel_index(int(misfit.argmin()), misfit.shape)
+            by, least = by + step_m * np.array([column - steps, steps - row]), float(misfit.min())
+    gain = min(parameters.search_gain, _chance_of_median(len(known), parameters.search_chance / places))
+    if here < parameters.least_misfit_m or least > gain * here or np.hypot(*by) < step:
+        return []
+    text = f"The points of '{points}' fit to the DSM better {np.hypot(*by):.1f} m beside their place"
+    return [Finding("points-displaced", f"{text}: check the CRS and the place of both.", "doubt")]
+
+
+def _misfits(
+    gcps: Sequence[Gcp], warper: HeightWarper, points: str, ellipsoid: str, by: FloatArray, step_m: float, steps: int
+) -> FloatArray:
+    """The median distance of the errors from their median, m, with all points moved by (2,) metres to the east and
+    north and by so many steps around: (2n + 1, 2n + 1), the north first; infinite where a point has no height."""
+    high, side, away = step_m / _METRES_PER_DEGREE, 2 * steps + 1, []
+    for gcp in gcps:
         wide = high / math.cos(math.radians(gcp.lat))
-        corner = (gcp.lon - side / 2 * wide, wide, 0.0, gcp.lat + side / 2 * high, 0.0, -high)
-        away.append(warper.read(Grid(points, (side, side), corner, ellipsoid)) - gcp.height)
+        west, north = gcp.lon + (by[0] / step_m - side / 2) * wide, gcp.lat + (by[1] / step_m + side / 2) * high
+        around = Grid(points, (side, side), (west, wide, 0.0, north, 0.0, -high), ellipsoid)
+        away.append(warper.read(around) - gcp.height)
     inside = np.isfinite(away).all(axis=0)  # with fewer points the misfit would be less by chance
     misfit = np.full(inside.shape, np.inf)
-    here = np.stack(away)[:, inside]
-    misfit[inside] = np.median(np.abs(here - np.median(here, axis=0)), axis=0)  # towns have points at walls
-    best = np.unravel_index(int(misfit.argmin()), misfit.shape)
-    if misfit[reach, reach] < parameters.least_misfit_m or misfit[best] > parameters.search_gain * misfit[reach, reach]:
-        return []
-    by = step * float(np.hypot(*(np.array(best) - reach)))
-    text = f"The points of '{points}' fit to the DSM better {by:.1f} m beside their place"
-    return [Finding("points-displaced", f"{text}: check the CRS and the place of both.", "doubt")]
+    heights = np.stack(away)[:, inside]
+    misfit[inside] = np.median(np.abs(heights - np.median(heights, axis=0)), axis=0)  # towns have points at walls
+    return misfit
+
+
+def _chance_of_median(count: int, chance: float) -> float:
+    """Which share of its usual size the median of so many absolute normal errors falls below with this probability."""
+    from scipy.stats import beta, norm
+
+    half = (count + 1) // 2
+    return float(norm.ppf(0.5 + beta.ppf(chance, half, count - half + 1) / 2) / norm.ppf(0.75))
 
 
 def _datum_warnings(dsm: gdal.Dataset, grid: Grid, warper: HeightWarper) -> List[Finding]:

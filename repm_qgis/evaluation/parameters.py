@@ -83,8 +83,10 @@ class GcpParameters(Parameters):
     least_searched: int = 8  # points whose place is looked for: fewer fit somewhere by chance
     search_step_m: float = 2.0  # of that search; a cell, where it is wider
     search_steps: int = 16  # to each side
-    least_misfit_m: float = 1.0  # median distance from the median error, from which on a place may be wrong
-    search_gain: float = 0.3  # of that distance, at most, at a better place
+    search_finer: int = 4  # parts of a step, around the best place of that search
+    least_misfit_m: float = 0.5  # median distance from the median error, from which on a place may be wrong
+    search_gain: float = 0.3  # of that distance, at most, at a better place; and less than errors alone have, with this
+    search_chance: float = 0.01  # ... probability, at any of the places
 
 
 @dataclass(frozen=True)
