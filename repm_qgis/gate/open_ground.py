@@ -21,11 +21,13 @@ _ROUNDS = 12  # of robust weights
 class OpenGround(NamedTuple):
     """(N,) heights of a DSM on its open ground, m, and how high they lie above the terrain; (M,) how far the ground
     lies above the terrain at places of it, by a plane: None where too little is seen, or where much lies lower, as
-    beside the wide roof of a hall."""
+    beside the wide roof of a hall; (2,) the plane's slope along rows and columns, m per m, and the NMAD about it, m."""
 
     heights: FloatArray
     above: FloatArray
     offsets: Optional[FloatArray]
+    slope: FloatArray
+    left: float
 
 
 def open_ground(
@@ -46,7 +48,7 @@ def open_ground(
         x, y = (window.col + columns * factor) * abs(cell[0]), (window.row + rows * factor) * abs(cell[1])
         parts.append(np.column_stack([x, y, *(each[known] for each in (own, coarse, by_itself | smooth, smooth))]))
     x, y, own, whole, shown, smooth = np.concatenate([np.empty((0, 6)), *parts]).astype(np.float64).T
-    return OpenGround(own[shown > 0], whole[shown > 0], _offsets(x, y, whole, smooth > 0, parameters))
+    return OpenGround(own[shown > 0], whole[shown > 0], *_plane(x, y, whole, smooth > 0, parameters))
 
 
 def _smooth(heights: FloatImage, cell: Tuple[float, float], parameters: GateParameters) -> Tuple[FloatImage, Mask, int]:
@@ -58,18 +60,21 @@ def _smooth(heights: FloatImage, cell: Tuple[float, float], parameters: GatePara
     return coarse, ground, factor
 
 
-def _offsets(
+def _plane(
     x: FloatArray, y: FloatArray, whole: FloatArray, ground: Mask, parameters: GateParameters
-) -> Optional[FloatArray]:
-    """(M,) how far the ground lies above a terrain, of (N,) places with these heights above it; None as above."""
+) -> Tuple[Optional[FloatArray], FloatArray, float]:
+    """(M,) how far the ground lies above a terrain, of (N,) places with these heights above it, None as above; the
+    slope, and what is left."""
     if ground.sum() < max(parameters.open_cells, parameters.open_share * whole.size):
-        return None
-    every = np.column_stack([x - x.mean(), y - y.mean(), np.ones(x.size)])
-    every[:, :2] /= max(float(np.ptp(x)), float(np.ptp(y)), 1.0)
+        return None, np.zeros(2), 0.0
+    side = max(float(np.ptp(x)), float(np.ptp(y)), 1.0)
+    every = np.column_stack([(x - x.mean()) / side, (y - y.mean()) / side, np.ones(x.size)])
     design, height = every[ground], whole[ground]
     plane = robust_plane(design, height, _lowest(height, parameters.open_mode_share), parameters)
     below = np.mean(whole < every @ plane - parameters.open_near_m)
-    return np.asarray(design @ plane) if 100.0 * below < parameters.ground_percent else None
+    offsets = np.asarray(design @ plane)
+    good = 100.0 * below < parameters.ground_percent
+    return offsets if good else None, plane[:2] / side, nmad(height - offsets)
 
 
 def robust_plane(design: FloatArray, height: FloatArray, start: float, parameters: GateParameters = GATE) -> FloatArray:

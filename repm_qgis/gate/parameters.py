@@ -39,6 +39,8 @@ class GateParameters(Parameters):
     unexplained: float = 0.5  # of that ground's own spread, which a terrain makes less; else it is another place's
     most_tilt_m: float = 0.75  # of two DSMs against each other, over their overlap; and so many cells
     most_tilt_cells: float = 0.25
+    sure_tilt_m: float = 0.2  # over their overlap, from which on it counts for all of the larger one; and so many NMADs
+    sure_tilt_nmads: float = 2.0  # about the plane
     object_width_m: float = 24.0  # of an opening that takes houses off, and leaves hills
     object_m: float = 3.0  # above that opening: a storey
     object_m2: float = 100.0  # that stand so high, and this share of the overlap

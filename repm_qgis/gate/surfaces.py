@@ -56,21 +56,25 @@ def overlap_findings(
     windows: Sequence[Window],
     cell: Tuple[float, float],
     names: Tuple[str, str],
+    whole: Tuple[float, float] = (0.0, 0.0),
     parameters: GateParameters = GATE,
 ) -> List[Finding]:
     """Whether two DSMs are tilted against each other, or one of them lacks what stands on the ground in the other.
 
-    ``patches`` are (rows, columns) heights of both in windows of their overlap, m, with cells of these metres.
+    ``patches`` are (rows, columns) heights of both in windows of their overlap, m, with cells of these metres;
+    ``whole`` is how far the larger one reaches along rows and columns, m.
     """
     found = []
     differences = [first - second for first, second in patches]
     every = replace(parameters, open_near_m=np.inf, open_gradient=np.inf)  # no ground, but all that is alike
-    plane = open_ground([first for first, _ in patches], differences, windows, cell, every).offsets
-    tilt = 0.0 if plane is None else float(np.ptp(np.percentile(plane, (2.0, 98.0))))
-    if tilt > max(parameters.most_tilt_m, parameters.most_tilt_cells * max(cell)):
+    plane = open_ground([first for first, _ in patches], differences, windows, cell, every)
+    tilt = 0.0 if plane.offsets is None else float(np.ptp(np.percentile(plane.offsets, (2.0, 98.0))))
+    least = max(parameters.sure_tilt_m, parameters.sure_tilt_nmads * plane.left)
+    beyond = max(tilt, float(np.abs(plane.slope) @ whole) if tilt > least else 0.0)  # less may be errors
+    if beyond > max(parameters.most_tilt_m, parameters.most_tilt_cells * max(cell)):
         text = (
-            f"{names[1]} is tilted against {names[0]}, by {tilt:.1f} m over their overlap and by more beyond it: "
-            "register both (repm:register), or leave one out."
+            f"{names[1]} is tilted against {names[0]}, by {tilt:.1f} m over their overlap and by "
+            f"{beyond:.1f} m over all of it: register both (repm:register), or leave one out."
         )
         found.append(Finding("overlap-tilted", text, "doubt"))
     return found + bare_findings(patches, cell, names, parameters)

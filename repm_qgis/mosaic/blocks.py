@@ -118,7 +118,8 @@ def _compared(task: PairTask) -> Tuple[Optional[Tuple[float, float]], Tuple[Find
                 patches.append((dsm, reference))
     cells_m = (cell * factor, cell * factor)
     names = f"DSM {task.numbers[0] + 1}", f"DSM {task.numbers[1] + 1}"
-    findings = tuple(overlap_findings([patch[::-1] for patch in patches], coarse, cells_m, names))
+    wide, high = (max(getattr(dsm.window, side) for dsm in task.dsms) * cell for side in ("width", "height"))
+    findings = tuple(overlap_findings([patch[::-1] for patch in patches], coarse, cells_m, names, (wide, high)))
     try:
         found = align("3d", patches, cells_m)
     except EmptyResultError:

@@ -120,11 +120,12 @@ def test_offsets_are_solved_and_seams_are_below_a_decimetre(made):
     (
         (lambda x, y: ground(x, y) + 0.03 * (x - WEST), "overlap-tilted", 0.03 * 80),
         (lambda x, y: ground(x, y) - 0.02 * (NORTH - y), "overlap-tilted", 0.02 * SIDE),
+        (lambda x, y: ground(x, y) + 0.006 * (x - WEST), "overlap-tilted", 0.006 * 80),
         (lambda x, y: 200.0 + 0.05 * (x - WEST) - 0.02 * (NORTH - y), "overlap-bare", 0),
         (lambda x, y: ground(x, y) + 0.002 * (x - WEST), "", 0),
         (lambda x, y: ground(x, y) + 6.0 * ((abs(x - WEST - 126) < 6) & (abs(NORTH - y - 6) < 6)), "", 0),
     ),
-    ids=("tilted east", "tilted north", "terrain", "hardly tilted", "new house"),
+    ids=("tilted east", "tilted north", "tilted beyond", "terrain", "hardly tilted", "new house"),
 )
 def test_a_tilted_dsm_and_a_terrain_are_named(tmp_path, told, second, named, size):
     """The far end of a tilted DSM was 7 m off, and half of a town had no houses, under "Good."."""
