@@ -41,6 +41,7 @@ from ..repm_qgis.contracts.stages import STAGES, Stage
 from ..repm_qgis.runtime.translation import written_in
 from . import engine, helppages, last_scene, settings, styles
 from .helptext import to_html
+from .json_errors import errors_as_json, failure, write_error
 from .kept import in_workspace
 from .language import dialog_words, language, said
 from .parameters import tr
@@ -200,9 +201,10 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
     def checkParameterValues(self, parameters: JsonMapping, context: QgsProcessingContext) -> tuple[bool, str]:
         """Files and layers as QGIS knows them are checked here, all values by the engine's options."""
         problem = self._problem(parameters, context)
-        if problem:
-            return False, dialog_words(self.ID)(problem)
-        return super().checkParameterValues(parameters, context)
+        fit = (False, dialog_words(self.ID)(problem)) if problem else super().checkParameterValues(parameters, context)
+        if not fit[0]:
+            write_error(fit[1], "OptionError")
+        return fit
 
     def _problem(self, parameters: JsonMapping, context: QgsProcessingContext) -> str:
         """What is wrong with the parameters, "" where nothing is."""
@@ -225,6 +227,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             require_writable(self.ID, options)
             engine.in_python_thread(lambda: require_sensible(options))
         except RepmError as error:
+            write_error(said(str(error)), type(error).__name__)
             return said(str(error))
         return ""
 
@@ -317,6 +320,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
                 )
         return ""
 
+    @errors_as_json()
     def prepareAlgorithm(
         self, parameters: JsonMapping, context: QgsProcessingContext, feedback: QgsProcessingFeedback
     ) -> bool:
@@ -342,6 +346,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             self._inputs["cluster"] = self._inputs["cluster"] or settings.cluster()
         return True
 
+    @errors_as_json()
     def processAlgorithm(
         self, parameters: JsonMapping, context: QgsProcessingContext, feedback: QgsProcessingFeedback
     ) -> JsonObject:
@@ -427,7 +432,7 @@ class RepmAlgorithm(QgsProcessingAlgorithm):
             with engine.sigterm_cancels(feedback):
                 return run(self.stage(), options, feedback, self._words)
         except QgsProcessingException as error:
-            raise QgsProcessingException(self._words(str(error))) from None
+            raise failure(self._words(str(error)), getattr(error, "kind", "Error")) from None
 
     def _scene_name(self, options: JsonMapping) -> str:
         """The scene that a run belongs to, "" where its files and folders do not name it."""

@@ -30,6 +30,7 @@ from ..repm_qgis.installer.pip import without_password
 from ..repm_qgis.runtime.packages import PACKAGES
 from . import settings
 from .cleanup import remove_half_written
+from .json_errors import BUG, failure, write_error
 from .language import labels, language, said
 
 PLUGIN_FOLDER = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
@@ -100,6 +101,7 @@ def end_at_ctrl_c() -> None:
 
 def _end_at_once(number: int, frame: object) -> None:
     os.write(2, b"Cancelled by the user.\n")
+    write_error("Cancelled by the user.", "Cancelled")
     os._exit(1)
 
 
@@ -107,8 +109,8 @@ def _in_qgis_process() -> bool:
     return QgsApplication.platform() == "qgis_process"
 
 
-def _failure(text: str) -> QgsProcessingException:
-    return QgsProcessingException(said(text))
+def _failure(text: str, kind: str = "EngineError") -> QgsProcessingException:
+    return failure(said(text), kind)
 
 
 def in_python_thread(call: Callable[[], _Result]) -> _Result:
@@ -151,17 +153,18 @@ def run_here(
         with written_in(language(), labels(stage.name)):
             return run_stage(stage, options, FeedbackProgress(feedback, lambda text: words(said(text))))
     except RepmError as error:
-        raise _failure(str(error)) from None
+        raise _failure(str(error), type(error).__name__) from None
     except Exception as error:
         if not is_import_failure(error):
             raise
         if not isinstance(error, ModuleNotFoundError):
-            raise _failure(str(import_failure(error))) from None
+            raise _failure(str(import_failure(error)), "MissingPackageError") from None
         debian = next((each.debian for each in PACKAGES if each.module == error.name and each.debian), "")
         apt = f" (on Debian and Ubuntu with 'sudo apt install {debian}')" if debian else ""
         raise _failure(
             f"The Python package '{error.name}' is not installed for QGIS's own Python ({error}): install QGIS again "
-            f"with its Python modules{apt}."
+            f"with its Python modules{apt}.",
+            "MissingPackageError",
         ) from None
 
 
@@ -355,7 +358,7 @@ class _EngineProcess:
         try:
             while True:
                 if is_cancelled(feedback):
-                    raise _failure("Cancelled by the user.")
+                    raise _failure("Cancelled by the user.", "Cancelled")
                 try:
                     line = self._lines.get(timeout=_POLL_S)
                 except queue.Empty:
@@ -397,19 +400,19 @@ class _EngineProcess:
                 return self._process.wait(_POLL_S)
             except subprocess.TimeoutExpired:
                 if is_cancelled(feedback):
-                    raise _failure("Cancelled by the user.") from None
+                    raise _failure("Cancelled by the user.", "Cancelled") from None
 
     def _outcome(self, last: JsonObject, code: int) -> JsonObject:
         kind = last.get("type")
         if kind == "result" and code == 0 and isinstance(last.get("result"), dict):
             return last["result"]
         if kind == "error":
-            raise QgsProcessingException(str(last.get("text", "")))
+            raise failure(str(last.get("text", "")), str(last.get("kind")))
         if kind == "bug":
             sentence = said(
                 f"The stage '{self._stage}' ended with an unexpected error: please report it with the text below."
             )
-            raise QgsProcessingException(f"{sentence}\n{last.get('text', '')}")
+            raise failure(f"{sentence}\n{last.get('text', '')}", BUG)
         raise _failure(self._crash(code))
 
     def _crash(self, code: int) -> str:

@@ -3,24 +3,27 @@
 Options are those of :mod:`repm_qgis.contracts.options`, with ``-`` in place of ``_``. ``--job`` reads more of them from
 a JSON file, over which those of the command line go. Progress and messages go to standard error, the results to
 standard output, one a line. With ``--json``, all goes to standard output as JSON lines, as
-:mod:`repm_qgis.engine_process` has them. The exit codes are the same: 0, 1 for an expected failure, 2 for a bug.
+:mod:`repm_qgis.engine_process` has them, what is wrong with the command too. The exit codes are the same: 0, 1 for an
+expected failure, 2 for a bug and, as of all programs, for a command that cannot be read.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
 import os
 import re
 import shutil
 import sys
 from functools import cache
-from typing import Any, List, Match, Optional, Sequence, TextIO, Tuple, Type, get_args, get_origin
+from typing import Any, List, Match, NoReturn, Optional, Sequence, TextIO, Tuple, Type, get_args, get_origin
 
 from . import __version__
 from .contracts import options as options_of_stages
 from .contracts.checks import Choice, Number
 from .contracts.documents import JsonMapping, JsonObject, Keywords
+from .contracts.errors import OptionError
 from .contracts.options import Options
 from .contracts.products import PRODUCTS
 from .contracts.stages import STAGES
@@ -33,7 +36,9 @@ _LEAST_COLUMNS = 40
 
 def main(arguments: Optional[Sequence[str]] = None) -> int:
     """Run the command line of a terminal; gives the exit code."""
-    given = {name: value for name, value in vars(_parser().parse_args(arguments)).items() if value is not None}
+    words = sys.argv[1:] if arguments is None else arguments
+    parser = _parser(type("Parser", (_Parser,), {"as_json": "--json" in words}))
+    given = {name: value for name, value in vars(parser.parse_args(words)).items() if value is not None}
     stage, path, as_json = given.pop("stage"), given.pop("job"), given.pop("json")
     lines = JsonLines(own_output()) if as_json else Terminal(own_output(), sys.stderr)
 
@@ -43,12 +48,23 @@ def main(arguments: Optional[Sequence[str]] = None) -> int:
     return serve(lines, lambda cancelling: asked)
 
 
-def _parser() -> argparse.ArgumentParser:
+class _Parser(argparse.ArgumentParser):
+    """A parser that says what is wrong with a command to a program, too."""
+
+    as_json = False
+
+    def error(self, message: str) -> NoReturn:
+        if self.as_json:
+            print(json.dumps({"type": "error", "kind": OptionError.__name__, "text": message}), flush=True)
+        super().error(message)
+
+
+def _parser(kind: Type[_Parser] = _Parser) -> argparse.ArgumentParser:
     programs = (
         "For programs: 'python -m repm_qgis STAGE JOB.json' takes the options from a file, and writes JSON lines."
     )
     about = "Surface models from satellite images with RPCs."
-    parser = argparse.ArgumentParser(prog="repm", description=about, epilog=programs)
+    parser = kind(prog="repm", description=about, epilog=programs)
     parser.add_argument("--version", action="version", version=f"repm {__version__}")
     stages = parser.add_subparsers(dest="stage", required=True, metavar="STAGE")
     for name, declared in STAGES.items():

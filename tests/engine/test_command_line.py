@@ -165,6 +165,24 @@ def test_programs_get_lines_of_json(as_wheel, images, tmp_path):
     assert done.returncode == 0 and lines[-1]["type"] == "result" and lines[-1]["result"]["PAIR".lower()]
 
 
+@pytest.mark.parametrize(
+    ("words", "kind", "sentence", "code"),
+    [
+        (["epmfit", "--images", "gone.tif", "--workspace", "w"], "ImageError", "Cannot open the raster 'gone.tif'", 1),
+        (["errormap", "--job", "gone.json"], "OptionError", "job is 'gone.json'", 1),
+        (["pipeline", "--fill", "everything"], "OptionError", "argument --fill: invalid choice: 'everything'", 2),
+        (["inspect", "--tile-size", "3"], "OptionError", "unrecognized arguments: --tile-size 3", 2),
+        (["epm"], "OptionError", "invalid choice: 'epm'", 2),
+    ],
+)
+def test_programs_get_errors_as_json_too(as_wheel, tmp_path, words, kind, sentence, code):
+    done = run(as_wheel, *words, "--json", cwd=tmp_path)
+    error = json.loads(done.stdout)  # one document
+    assert (error["type"], error["kind"], done.returncode) == ("error", kind, code)
+    assert sentence in error["text"] and (code == 1 or error["text"] in done.stderr)
+    assert not run(as_wheel, *words, cwd=tmp_path).stdout
+
+
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no pseudo-terminals")
 @pytest.mark.long
 def test_a_terminal_shows_a_bar_that_leaves_nothing_behind(as_wheel, tmp_path):

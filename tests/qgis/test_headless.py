@@ -111,6 +111,25 @@ def test_user_errors_are_one_sentence_and_code_1(headless, tmp_path, words, sent
     assert "Traceback" not in said(done)
 
 
+@pytest.mark.parametrize(
+    ("words", "kind", "sentence"),
+    [
+        (["repm:comparedsm", "--", "DSM=gone.tif", "REFERENCE=too.tif"], "OptionError", "DSM 'gone.tif' is not there"),
+        (["repm:epmfit", "--", "IMAGES=a.tif", "IMAGES=b.tif", "WORKSPACE=w"], "RpcMissingError", "No RPC found"),
+        (["repm:sampledata", "--", "SIZE=128", "FOLDER=f"], "EngineError", "interpreter '/no/python' is not a program"),
+    ],
+)
+@pytest.mark.long
+def test_a_failure_is_one_document_of_json_for_programs(headless, tmp_path, words, kind, sentence):
+    words = [word.replace("=a.tif", f"={IMAGE}").replace("=b.tif", f"={IMAGE.parent / 'map.png'}") for word in words]
+    words = [word.replace("=w", f"={tmp_path}").replace("=f", f"={tmp_path}") for word in words]
+    python = "/no/python" if kind == "EngineError" else sys.executable
+    done = headless("--json", "run", *words, REPM_ENGINE_PYTHON=python)
+    error = json.loads(done.stdout)
+    assert (done.returncode, error["type"], error["kind"]) == (1, "error", kind), said(done)
+    assert sentence in error["text"] and error["text"] in done.stderr
+
+
 @pytest.mark.long
 def test_a_wrong_interpreter_is_one_sentence_and_code_1(headless, tmp_path):
     done = headless("run", "repm:sampledata", "--", "SIZE=128", f"FOLDER={tmp_path}", REPM_ENGINE_PYTHON="/no/python")
@@ -244,6 +263,7 @@ def wait_for(condition, seconds):
 def test_ctrl_c_and_sigterm_end_a_run_with_everything_it_started(headless_start, town, tmp_path, number, processes):
     mark = f"REPM_TEST_MARK={tmp_path}"
     running = headless_start(
+        "--json",
         "run",
         "repm:pipeline",
         "--",
@@ -267,6 +287,7 @@ def test_ctrl_c_and_sigterm_end_a_run_with_everything_it_started(headless_start,
     assert running.returncode == 1, (running.returncode, output, errors)
     assert seconds < 2
     assert "Cancelled by the user." in errors and "Traceback" not in output + errors
+    assert json.loads(output) == {"type": "error", "kind": "Cancelled", "text": "Cancelled by the user."}
     assert wait_for(lambda: not family(mark.encode()), 0.5)
     assert not list(tmp_path.rglob("*.part*")) and not (tmp_path / "dsm.tif").exists()
 
