@@ -225,8 +225,9 @@ class Panel(ParametersPanel):
             if isinstance(widget, QLineEdit):
                 widget.setPlaceholderText(text)
             elif isinstance(widget, QWidget):
+                empty = self.algorithm().parameterDefinition(name).defaultValue() is None  # else QGIS's "Not set" stays
                 for box in (each for each in (widget, *widget.findChildren(QAbstractSpinBox))):
-                    if isinstance(box, QAbstractSpinBox) and not box.specialValueText():
+                    if isinstance(box, QAbstractSpinBox) and (empty or not box.specialValueText()):
                         box.setSpecialValueText(text)
 
     def _show_what_differs(self) -> None:
@@ -338,7 +339,7 @@ class Panel(ParametersPanel):
             box = self.wrappers[name].wrappedWidget().findChild(QCheckBox)
             if name in self._skipped and line.text() and box is not None:
                 box.setChecked(True)
-            if text and name not in PLACES and is_temporary(self._value(name)):
+            if text and name != "WORKSPACE" and is_temporary(self._value(name)):
                 line.setPlaceholderText(text)
         self._skipped = {name for name in self._lines if is_empty(self._value(name))}
 

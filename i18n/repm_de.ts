@@ -1469,8 +1469,8 @@
         <translation>Voreinstellung</translation>
     </message>
     <message>
-        <source>Values that go together, for advanced parameters below; the dialog fills them in, and you can change each of them afterwards. city: walls and streets; mountains: a surface without holes; fast: a first look; preview: reduced images, in seconds. In a command, a value that you give overrides the preset's.</source>
-        <translation>Werte, die zusammengehören, für erweiterte Parameter weiter unten; der Dialog trägt sie ein, und jeder kann danach geändert werden. city: Wände und Straßen; mountains: eine Oberfläche ohne Lücken; fast: ein erster Blick; preview: verkleinerte Bilder, in Sekunden. In einem Befehl geht ein angegebener Wert dem der Voreinstellung vor.</translation>
+        <source>Values that go together, for advanced parameters below; the dialog fills them in, and you can change each of them afterwards. city: walls and streets; mountains: a surface without holes; fast: a first look, of the fewest pairs; preview: reduced images, in seconds. In a command, a value that you give overrides the preset's.</source>
+        <translation>Werte, die zusammengehören, für erweiterte Parameter weiter unten; der Dialog trägt sie ein, und jeder kann danach geändert werden. city: Wände und Straßen; mountains: eine Oberfläche ohne Lücken; fast: ein erster Blick, mit den wenigsten Paaren; preview: verkleinerte Bilder, in Sekunden. In einem Befehl geht ein angegebener Wert dem der Voreinstellung vor.</translation>
     </message>
     <message>
         <source>Area</source>
@@ -1599,6 +1599,10 @@
     <message>
         <source>Cell size in units of the CRS. 0: twice the ground sampling distance of the images.</source>
         <translation>Zellgröße in Einheiten des KBS. 0: die doppelte Bodenauflösung der Bilder.</translation>
+    </message>
+    <message>
+        <source>DSM resolution (m), 0: automatic</source>
+        <translation>Auflösung des DOM (m), 0: automatisch</translation>
     </message>
     <message>
         <source>CRS of the results</source>
@@ -1733,8 +1737,8 @@
         <translation>Szene nach dieser Stufe</translation>
     </message>
     <message>
-        <source>The results of this stage are kept in this file's folder.</source>
-        <translation>Die Ergebnisse dieser Stufe liegen im Ordner dieser Datei.</translation>
+        <source>The results of this stage are kept in this file's folder. Skipped: beside the scene before it.</source>
+        <translation>Die Ergebnisse dieser Stufe liegen im Ordner dieser Datei. Übersprungen: neben der Szene davor.</translation>
     </message>
     <message>
         <source>Tie points</source>
@@ -2482,10 +2486,6 @@
         <translation>Alle</translation>
     </message>
     <message>
-        <source>Fast</source>
-        <translation>Schnell</translation>
-    </message>
-    <message>
         <source>Preview</source>
         <translation>Vorschau</translation>
     </message>
@@ -2602,6 +2602,14 @@
         <translation>Mit COLMAP</translation>
     </message>
     <message>
+        <source>First look</source>
+        <translation>Erster Blick</translation>
+    </message>
+    <message>
+        <source>Fewest pairs</source>
+        <translation>Wenigste Paare</translation>
+    </message>
+    <message>
         <source>All holes</source>
         <translation>Alle Löcher</translation>
     </message>
@@ -2660,6 +2668,10 @@
     <message>
         <source>all</source>
         <translation>alle</translation>
+    </message>
+    <message>
+        <source>the middle</source>
+        <translation>die Mitte</translation>
     </message>
     <message>
         <source>off</source>

@@ -19,7 +19,7 @@ from qgis.core import (
 )
 
 from ..repm_qgis.contracts.options import PREVIEW
-from ..repm_qgis.contracts.products import OF_SCENES, SCENE, Product, products_of, stem_of
+from ..repm_qgis.contracts.products import OF_SCENES, Product, products_of, stem_of
 from ..repm_qgis.names import images_name
 from ..repm_qgis.scene import origin
 from .values import any_paths, is_empty
@@ -65,10 +65,11 @@ def in_folder(
     """A dialog's parameters, with products in the workspace or beside the surface that they are made of: those without
     a name, which a command leaves temporary, and those whose name was ``typed`` without a folder, which QGIS puts into
     one for all projects. Reads the project: main thread only."""
-    folder, surface = _place(algorithm, parameters, _named(parameters, context), context)
+    placed = {**parameters, "OUTPUT_SCENE": QgsProcessing.TEMPORARY_OUTPUT} if "OUTPUT_SCENE" in typed else parameters
+    folder, surface = _place(algorithm, placed, _named(parameters, context), context)
     places = _places(algorithm, parameters, folder, surface) if algorithm.name() not in OF_SCENES else {}
     for name, value in parameters.items() if folder else ():
-        if name in typed and name not in PLACES and not is_temporary(value):
+        if name in typed and name != "WORKSPACE" and not is_temporary(value):
             sink = _sink(value)
             path = sink.staticValue() if sink is not None else value
             places[name] = os.path.join(folder, os.path.basename(str(path)))
@@ -94,9 +95,7 @@ def _places(
     names = {
         each.option.upper(): _name(algorithm, each, surface)
         for each in products_of(algorithm.name())
-        if f"{each.stage}.{each.option}" not in _NOT_PLACED
-        and each.form != SCENE
-        and is_temporary(parameters.get(each.option.upper()))
+        if f"{each.stage}.{each.option}" not in _NOT_PLACED and is_temporary(parameters.get(each.option.upper()))
     }
     return _free(folder, names) if folder else {}
 
@@ -147,6 +146,8 @@ def _place(
     """The folder for products without a name, "" for QGIS's temporary one, and the surface they come from, if any."""
     for name in PLACES:
         definition = algorithm.parameterDefinition(name)
+        if name == "OUTPUT_SCENE" and is_temporary(parameters.get(name)):
+            continue  # it lies beside the scene before it
         if definition is not None and definition.isDestination() and not is_empty(parameters.get(name)):
             return place_of(name, algorithm.parameterAsString(parameters, name, context)), ""
         given = inputs.get(name.lower())

@@ -424,8 +424,9 @@ def preset() -> QgsProcessingParameterDefinition:
         tr("Preset"),
         tr(
             "Values that go together, for advanced parameters below; the dialog fills them in, and you can change each "
-            "of them afterwards. city: walls and streets; mountains: a surface without holes; fast: a first look; "
-            "preview: reduced images, in seconds. In a command, a value that you give overrides the preset's."
+            "of them afterwards. city: walls and streets; mountains: a surface without holes; fast: a first look, of "
+            "the fewest pairs; preview: reduced images, in seconds. In a command, a value that you give overrides the "
+            "preset's."
         ),
     )
 
@@ -605,6 +606,14 @@ def resolution() -> QgsProcessingParameterDefinition:
         tr("DSM resolution (m)"),
         tr("Cell size in units of the CRS. 0: twice the ground sampling distance of the images."),
     )
+
+
+def in_models(parameter: QgsProcessingParameterDefinition) -> QgsProcessingParameterDefinition:
+    """A parameter of a model. The user's copy has QGIS's own dialog, where only the label can say what 0 means."""
+    copy = parameter.clone()
+    if copy.name() == "RESOLUTION":
+        copy.setDescription(tr("DSM resolution (m), 0: automatic"))
+    return copy
 
 
 def crs() -> QgsProcessingParameterDefinition:

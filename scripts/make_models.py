@@ -29,7 +29,8 @@ Source = QgsProcessingModelChildParameterSource
 def _inputs() -> list:
     """The model's own parameters are those of repm:pipeline."""
     pipeline = QgsApplication.processingRegistry().algorithmById("repm:pipeline")
-    return [pipeline.parameterDefinition(name).clone() for name in ("IMAGES", "EXTENT", "DEM", "RESOLUTION", "CRS")]
+    in_models = sys.modules["repm"].processing_provider.parameters.in_models
+    return [in_models(pipeline.parameterDefinition(name)) for name in ("IMAGES", "EXTENT", "DEM", "RESOLUTION", "CRS")]
 
 
 def _child(

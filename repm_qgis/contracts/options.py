@@ -61,6 +61,9 @@ PRESETS: Dict[str, Keywords] = {
 """Values that go together, for options of the pipeline that are not given; docs/algorithms/pipeline.md has what each
 costs and gives."""
 
+SCENES_AFTER = {"refine": "refined", "reconstruct": "reconstructed", "register": "registered"}
+"""What the scene after a stage is called, beside the scene before it, where the user has not named it."""
+
 BATCH_PRODUCTS = ("confidence", "ortho", "water_mask", "cloud", "ept", "mesh", "view_heights", "viewer", "stac")
 """What may be made beside the DSM of each of many scenes."""
 
@@ -192,6 +195,13 @@ class Options(metaclass=_ByName):
         return dataclasses.asdict(self)
 
 
+def _place_scene(stage: str, options: "RefineOptions | ReconstructOptions | RegisterOptions") -> None:
+    """Put the scene after a stage beside that before it, where no file is named."""
+    if not options.output_scene and isinstance(options.scene, str):
+        path = os.path.join(os.path.dirname(options.scene), f"{SCENES_AFTER[stage]}.json")
+        object.__setattr__(options, "output_scene", path)
+
+
 def require_page(name: str, path: str) -> None:
     """Raise OptionError for a page for the browser that no browser would take for one."""
     if not path.lower().endswith((".html", ".htm")):
@@ -305,12 +315,13 @@ class ErrorMapOptions(Options):
 class RefineOptions(Options):
     """Find the map from each refined pixel to its original pixel that makes the pinhole camera exact.
 
-    ``dem`` is the terrain model's surface; None takes the heights that the scene already has. ``order`` is the
-    polynomial's, ``kernel`` resamples the refined images. ``workers`` and ``memory`` as in :class:`ReconstructOptions`.
+    ``output_scene`` is the scene after the stage, "" beside that before it. ``dem`` is the terrain model's surface;
+    None takes the heights that the scene already has. ``order`` is the polynomial's, ``kernel`` resamples the refined
+    images. ``workers`` and ``memory`` as in :class:`ReconstructOptions`.
     """
 
     scene: str = read()
-    output_scene: str = given()
+    output_scene: str = ""
     model: str = choice("polynomial", MODELS)
     dem: Optional[str] = read(None)
     order: int = whole(2, 2, 5)
@@ -319,6 +330,10 @@ class RefineOptions(Options):
     report: Optional[str] = None
     workers: int = whole(0, 0, 1024)
     memory: int = whole(0, 0, 1 << 24, "MiB")
+
+    def __post_init__(self) -> None:
+        _place_scene("refine", self)
+        super().__post_init__()
 
 
 @dataclass(frozen=True)
@@ -363,7 +378,8 @@ class ExportRpcOptions(Options):
 class ReconstructOptions(Options):
     """Tie points, relative pointing and dense matching.
 
-    ``heights`` is the folder for the height maps and ``tie_points`` the vector file; None puts them next to the scene.
+    ``output_scene`` as in :class:`RefineOptions`. ``heights`` is the folder for the height maps and ``tie_points`` the
+    vector file; None puts them next to the scene.
     ``gcps`` is a table or layer of ground control points, ``gcp_datum`` the datum of their heights (a vertical CRS; ""
     is the ellipsoid). ``pointing`` is each view's correction (``jitter``: with waves of its lines). ``adjustment`` is
     against the original RPCs, or COLMAP's of principal points (shifts only, and without ground control). ``workers`` 0
@@ -378,7 +394,7 @@ class ReconstructOptions(Options):
     """
 
     scene: str = read()
-    output_scene: str = given()
+    output_scene: str = ""
     backend: str = choice("auto", BACKENDS)
     gcps: Optional[str] = read(None)
     gcp_datum: str = ""
@@ -399,6 +415,7 @@ class ReconstructOptions(Options):
     matching_cost: str = choice("auto", MATCHING_COSTS)
 
     def __post_init__(self) -> None:
+        _place_scene("reconstruct", self)
         super().__post_init__()
         if self.adjustment == "colmap" and self.pointing in ("affine", "jitter"):
             reason = "must be auto or shift where ADJUSTMENT is colmap, which moves principal points only"
@@ -416,14 +433,14 @@ class RegisterOptions(Options):
     heights: ``auto`` (the one that each file states, else the one that fits), ``ellipsoid``, or a vertical CRS.
     ``model`` ``shift`` or ``tilt`` (a shift and a tilt, where the heights carry one). ``stable`` are polygons, or a
     raster that is not zero, of ground that has not changed; None = all. ``others`` are scenes that overlap ``scene``:
-    all are placed together. ``output_scene`` is for ``scene``; each of the others is written beside its own file.
-    ``differences``: a raster with the reference minus the surface, before and after; ``offsets``: a layer of points
-    with the shift that each part of the scene would need; ``report``: a page; None = not wanted. ``workers``,
+    all are placed together. ``output_scene`` is for ``scene``, "" beside it; each of the others is written beside its
+    own file. ``differences``: a raster with the reference minus the surface, before and after; ``offsets``: a layer of
+    points with the shift that each part of the scene would need; ``report``: a page; None = not wanted. ``workers``,
     ``memory`` and ``cluster`` as in ``ReconstructOptions``.
     """
 
     scene: str = read()
-    output_scene: str = given()
+    output_scene: str = ""
     reference: Tuple[str, ...] = read(())
     reference_datum: str = "auto"
     model: str = choice("shift", SHIFTS)
@@ -437,6 +454,7 @@ class RegisterOptions(Options):
     cluster: str = ""
 
     def __post_init__(self) -> None:
+        _place_scene("register", self)
         super().__post_init__()
         if not all(self.reference) or not (self.reference or self.others):
             raise OptionError("REFERENCE", list(self.reference), "must name a raster, points or a cloud with heights")

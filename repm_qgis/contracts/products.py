@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Tuple
+from typing import Any, Dict, Iterator, List, Tuple
 
-if TYPE_CHECKING:
-    from .options import Options
+from .options import SCENES_AFTER, Options
 
 RASTER, POINTS, POLYGONS, FILE = "raster", "points", "polygons", "file"
 FOLDER = "folder"  # files are written into it, others may be there
@@ -168,7 +167,7 @@ class Product:
 _HTML = "HTML (*.html)"
 SCENES = "REPM scene (*.json)"
 _WORKSPACE = "A folder for the scene and everything in between; a second run there continues where the first stopped."
-_OUTPUT_SCENE = "The results of this stage are kept in this file's folder."
+_SCENE = "The results of this stage are kept in this file's folder. Skipped: beside the scene before it."
 _FOOTPRINTS = "The outline of each image on the ground, with its time, its direction of view and the sun's."
 _OVERLAPS = "The ground that each two images share, and whether it is worth matching the two."
 _TILES = "The outlines of the tiles, with the equivalent error of each image's camera in px."
@@ -240,13 +239,13 @@ _REPORTS = {
     "exportrpc": "Report of the corrected RPCs",
 }
 PRODUCTS = (
-    Product("inspect", "footprints", "Footprints", POLYGONS, ALWAYS, "footprints", help=_FOOTPRINTS),
+    Product("inspect", "footprints", "Footprints", POLYGONS, UNLESS_SKIPPED, "footprints", help=_FOOTPRINTS),
     Product("inspect", "overlaps", "Overlaps of pairs", POLYGONS, UNLESS_SKIPPED, "overlaps", help=_OVERLAPS),
     Product("epmfit", "workspace", "Workspace", FOLDER, ALWAYS, help=_WORKSPACE),
     Product("epmfit", "tiles", "Tiles", POLYGONS, UNLESS_SKIPPED, "tiles", help=_TILES),
     *(
-        Product(stage, "output_scene", "Scene after this stage", SCENE, ALWAYS, filter=SCENES, help=_OUTPUT_SCENE)
-        for stage in ("refine", "reconstruct", "register")
+        Product(stage, "output_scene", "Scene after this stage", SCENE, UNLESS_SKIPPED, filter=SCENES, help=_SCENE)
+        for stage in SCENES_AFTER
     ),
     Product("reconstruct", "tie_points", "Tie points", POINTS, UNLESS_SKIPPED, "tie_points", help=_TIES),
     Product("reconstruct", "heights", "Height maps", FOLDER, help=_HEIGHTS),
@@ -403,6 +402,8 @@ OF_SCENES = frozenset(_NAMES)
 def stem_of(stage: str, product: Product, surface: str = "") -> str:
     """The name, without its extension, of a product that the user has not named; ``surface`` is the file from which it
     is made."""
+    if product.form == SCENE:
+        return SCENES_AFTER[stage]
     if stage in _NAMES:
         shared = product.option if product.option in ("report", "tiles", "tie_points") else ""
         return f"{_NAMES[stage]}_{shared}" if shared else product.style or product.option

@@ -159,6 +159,10 @@ def look():
     FOUND["words"] = {box.itemData(index): box.itemText(index) for index in range(box.count())}
     FOUND["zero"] = panel.wrappers["RESOLUTION"].wrappedWidget().findChildren(QAbstractSpinBox)
     FOUND["zero"] = [each.text() for each in FOUND["zero"] or [panel.wrappers["RESOLUTION"].wrappedWidget()]]
+    lowest = panel.wrappers["ALTITUDE_MIN"].wrappedWidget()
+    FOUND["empty"] = [each.text() for each in lowest.findChildren(QAbstractSpinBox) or [lowest]]
+    boxes = {name: panel.wrappers[name].wrappedWidget() for name in ("PRESET", "QUALITY")}
+    FOUND["fast"] = {name: box.itemText(box.findData("fast")) for name, box in boxes.items()}
     FOUND["references"], FOUND["reference datum"] = offered(panel, "REFERENCE_DATUM")
     FOUND["datums"], FOUND["datum"] = offered(panel, "VERTICAL_DATUM")
     FOUND["line"] = isinstance(panel.wrappers["VERTICAL_DATUM"].wrappedWidget(), QLineEdit)

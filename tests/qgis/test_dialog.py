@@ -52,7 +52,8 @@ def test_dialogs_offer_what_is_known_and_hide_what_does_not_matter(desktop_start
     ]
     assert [text[3:-4] for text in found["headings"]][:2] == ["Images", "Area and heights"]
     assert found["words"] == {"none": "None", "occlusions": "Occlusions", "all": "All holes (all)"}
-    assert found["zero"] == ["automatic"]
+    assert found["zero"] == found["empty"] == ["automatic"]
+    assert found["fast"] == {"PRESET": "First look (fast)", "QUALITY": "Fewest pairs (fast)"}
     assert found["references"][:2] == ["Automatic: what each file says, or else what fits", "WGS 84 ellipsoid"]
     assert found["reference datum"] == "ellipsoid"
     assert found["line"] and found["datums"][:2] == ["WGS 84 ellipsoid", "EGM2008  (EGM2008 height)"]

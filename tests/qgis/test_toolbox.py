@@ -73,6 +73,8 @@ def test_our_model_becomes_one_of_the_users(plugin, tmp_path, monkeypatch):
     assert first.validate()[0], first.validate()[1]
     assert first.provider().id() == second.provider().id() == "model"  # without one, QGIS crashed when it ran the copy
     assert set(first.childAlgorithms()) == set(model.childAlgorithms())
+    # Its dialog is QGIS's own, and shows 0 as 0.
+    assert first.parameterDefinition("RESOLUTION").description() == "DSM resolution (m), 0: automatic"
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(ModelerUtils, "modelsFolders", staticmethod(lambda: [str(tmp_path / "file")]))
     with pytest.raises(OSError):
@@ -105,6 +107,25 @@ def test_the_scene_that_was_written_last_is_remembered(no_scenes, context, feedb
     fitted = results["SCENE"]
     assert last_scene("refine") == fitted == str(tmp_path / "w" / "scene.json")
     assert last_scene("dsmfuse") == last_scene("exportcameras") == ""  # they could not begin with it
+
+
+@pytest.mark.long
+def test_outputs_that_a_command_does_not_need_are_left_out(no_scenes, context, feedback, sample, tmp_path):
+    def run(name, **given):
+        algorithm = QgsApplication.processingRegistry().algorithmById(f"repm:{name}")
+        fine, problem = algorithm.checkParameterValues(given, context)
+        assert fine, problem
+        results, fine = algorithm.run(given, context, feedback)
+        assert fine, feedback.heard["error"]
+        return results
+
+    seen = run("inspect", IMAGES=sample.images)
+    assert seen["N_IMAGES"] == 3 and not {"FOOTPRINTS", "OVERLAPS", "REPORT"} & set(seen)
+    fitted = run("epmfit", IMAGES=sample.images, WORKSPACE=str(tmp_path / "w"))["SCENE"]
+    assert run("refine", SCENE=fitted)["OUTPUT_SCENE"] == str(tmp_path / "w" / "refined.json")
+    # The dialog's proposal is no place that QGIS empties, and takes no earlier scene away.
+    again = run("refine", SCENE=fitted, OUTPUT_SCENE="TEMPORARY_OUTPUT", MODEL="homography")["OUTPUT_SCENE"]
+    assert again == str(tmp_path / "w" / "refined_2.json") and os.path.exists(tmp_path / "w" / "refined.json")
 
 
 @pytest.mark.long

@@ -15,7 +15,9 @@ from repm_qgis.contracts.options import (
     EpmFitOptions,
     Options,
     PipelineOptions,
+    ReconstructOptions,
     RefineOptions,
+    RegisterOptions,
     SampleDataOptions,
 )
 from repm_qgis.stages import STAGES
@@ -49,6 +51,19 @@ def test_the_pipeline_has_every_option_of_its_stages_but_those_that_it_sets():
     for stage in PipelineOptions.STAGES:
         assert {each.name for each in fields(stage)} - set(PipelineOptions.SET_HERE) <= flat
     assert not flat & set(PipelineOptions.SET_HERE)
+
+
+def test_a_scene_without_a_name_lies_beside_the_one_before_it():
+    place, given = Path("w", "scene.json"), {"scene": str(Path("w", "scene.json"))}
+    for absent in ({}, {"output_scene": None}, {"output_scene": ""}):
+        assert RefineOptions.from_json({**given, **absent}).output_scene == str(place.with_name("refined.json"))
+        made = ReconstructOptions.from_json({**given, **absent})
+        assert made.output_scene == str(place.with_name("reconstructed.json"))
+        made = RegisterOptions.from_json({**given, "reference": ["r.tif"], **absent})
+        assert made.output_scene == str(place.with_name("registered.json"))
+    assert RefineOptions.from_json({**given, "output_scene": "x.json"}).output_scene == "x.json"
+    with pytest.raises(OptionError, match="SCENE"):
+        RefineOptions.from_json({"scene": 3})
 
 
 def test_the_pipelines_stages_take_each_others_scenes():
