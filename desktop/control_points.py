@@ -166,12 +166,14 @@ class ControlPointsDock(QgsDockWidget):
         for widget in (self.images_button, self.points_button, self.save_button):
             top.addWidget(widget)
         top.addStretch()
+        below = QHBoxLayout()
         for widget in (self.new_button, self.undo_button, self.remove_button):
-            top.addWidget(widget)
+            below.addWidget(widget)
         left = QWidget()
         form = QFormLayout(left)
         form.setContentsMargins(0, 0, 0, 0)
         form.addRow(self.rows)
+        form.addRow(below)
         form.addRow(self.tr("Heights of tables:"), self.datum)
         form.addRow(self.tr("New heights from:"), self.heights)
         self._views = QWidget()

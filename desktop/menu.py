@@ -14,6 +14,7 @@ from ..processing_provider import installation
 from ..processing_provider.base import resource
 from . import batch_pages, model_copy
 from .control_points import ControlPointsDock
+from .docking import dock_beside_map
 from .documents import open_document
 from .first_steps import FirstSteps, show_once
 from .geoid_grids import GeoidGridsDialog
@@ -114,7 +115,7 @@ class PluginMenu:
         """Show the dock, beside the map where it has not been moved."""
         if self._editor is None:
             self._editor = SurfaceEditingDock(self._iface)
-            self._iface.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, self._editor)
+            dock_beside_map(self._iface, self._editor)
         self._editor.setUserVisible(True)
         return self._editor
 
@@ -122,7 +123,7 @@ class PluginMenu:
         """Show the dock, beside the map where it has not been moved."""
         if self._scenes is None:
             self._scenes = ScenesDock(self._iface, self.measure_control_points)
-            self._iface.addDockWidget(Qt.DockWidgetArea.RightDockWidgetArea, self._scenes)
+            dock_beside_map(self._iface, self._scenes)
         self._scenes.setUserVisible(True)
         return self._scenes
 

@@ -38,6 +38,7 @@ from ..processing_provider.parameters import tr
 from ..processing_provider.values import layer_path
 from ..repm_qgis.names import period
 from .control_points import ControlPointsDock
+from .docking import scrolling
 from .next_step import STEPS
 from .scene_actions import SceneActions, can_show, show_file
 from .scene_reading import THUMBNAIL_PX, Reader, picture_of
@@ -110,7 +111,7 @@ class ScenesDock(QgsDockWidget):
         layout.addWidget(self.tree)
         layout.addWidget(self.said)
         layout.addLayout(row)
-        self.setWidget(inside)
+        self.setWidget(scrolling(inside))
 
     def close_down(self) -> None:
         self._reader.stop()

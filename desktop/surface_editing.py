@@ -46,6 +46,7 @@ from qgis.PyQt.QtWidgets import (
 from ..processing_provider.kept import is_lasting
 from ..processing_provider.language import said
 from ..processing_provider.values import layer_path
+from .docking import scrolling
 from .drawing_tool import BRUSH, LINE, POLYGON, DrawingTool
 
 if TYPE_CHECKING:  # the engine is imported when it is needed
@@ -156,7 +157,7 @@ class SurfaceEditingDock(QgsDockWidget):
         layout.addLayout(row)
         layout.addWidget(self.list, 1)
         layout.addWidget(self.said)
-        self.setWidget(inside)
+        self.setWidget(scrolling(inside))
         self.operation.currentIndexChanged.connect(lambda _: self._choose_operation())
         self.width_m.valueChanged.connect(lambda _: self._renew_tool())
         self._canvas.scaleChanged.connect(self._renew_tool)
