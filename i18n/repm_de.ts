@@ -39,6 +39,10 @@
         <source>Each takes time and space for each scene.</source>
         <translation>Jedes kostet bei jeder Szene Zeit und Platz.</translation>
     </message>
+    <message>
+        <source>The scenes that were complete by then are in '{path}'.</source>
+        <translation>Die bis dahin fertigen Szenen sind in „{path}“.</translation>
+    </message>
 </context>
 <context>
     <name>Buildings</name>

@@ -6,6 +6,7 @@ import os
 
 from qgis.core import (
     QgsProcessingContext,
+    QgsProcessingException,
     QgsProcessingFeedback,
     QgsProcessingParameterEnum,
     QgsProcessingParameterFile,
@@ -13,6 +14,7 @@ from qgis.core import (
 
 from ..repm_qgis.contracts.documents import JsonMapping, JsonObject
 from ..repm_qgis.contracts.options import BATCH_PRODUCTS, BatchOptions
+from ..repm_qgis.contracts.products import SO_FAR
 from . import parameters
 from .last_scene import remember_workspace
 from .pipeline import Pipeline
@@ -85,7 +87,13 @@ class Batch(Pipeline):
     def processAlgorithm(
         self, parameters: JsonMapping, context: QgsProcessingContext, feedback: QgsProcessingFeedback
     ) -> JsonObject:
-        made = super().processAlgorithm(parameters, context, feedback)
+        try:
+            made = super().processAlgorithm(parameters, context, feedback)
+        except QgsProcessingException:
+            path = os.path.join(self.parameterAsString(parameters, "WORKSPACE", context), f"{SO_FAR}.gpkg")
+            if os.path.exists(path):
+                feedback.pushInfo(self.tr("The scenes that were complete by then are in '{path}'.").format(path=path))
+            raise
         self._folders = [os.path.dirname(dsm) for dsm in made["DSMS"]]
         return made
 

@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 from ..contracts.errors import ImageError
 from ..contracts.results import SceneOutcome
-from ..reports import pictures
+from ..reports import pictures as drawings
 from ..reports.report import Link, Report, fixed
 from ..runtime.progress import counted
 
@@ -20,7 +20,9 @@ VERDICTS = {"good": "Good.", "look": "Look at it", "doubt": "Doubtful", "failed"
 """The verdicts of scenes, in words."""
 
 
-def batch_page(scenes: Sequence[SceneOutcome], path: str, files: Sequence[tuple[str, Optional[str]]]) -> Report:
+def batch_page(
+    scenes: Sequence[SceneOutcome], path: str, files: Sequence[tuple[str, Optional[str]]], pictures: bool = True
+) -> Report:
     """The page of all scenes, to be written to ``path``, from where its links lead; ``files`` are products of all."""
     made = [scene for scene in scenes if scene.dsm]
     page = Report("DSMs of many scenes", f"{counted(len(scenes), 'scene')}, {counted(len(made), 'DSM')}")
@@ -42,7 +44,7 @@ def batch_page(scenes: Sequence[SceneOutcome], path: str, files: Sequence[tuple[
         page.section("What to look at").table(
             "scene | finding", found, "From the scenes' own reports.", most=_MOST_ROWS
         )
-    _pictures(page, made)
+    _pictures(page, made if pictures else [])
     page.section("Files").facts([(title, file) for title, file in files if file])
     return page
 
@@ -71,10 +73,10 @@ def _pictures(page: Report, scenes: Sequence[SceneOutcome]) -> None:
     drawn = []
     for scene in scenes[:_MOST_PICTURES]:
         try:
-            heights, cell = pictures.preview(str(scene.dsm), _PICTURE_PX)
+            heights, cell = drawings.preview(str(scene.dsm), _PICTURE_PX)
         except ImageError:  # somebody has just removed it
             continue
-        drawn.append((pictures.png_bytes(pictures.shaded_relief(heights, cell)), scene.scene))
+        drawn.append((drawings.png_bytes(drawings.shaded_relief(heights, cell)), scene.scene))
     if drawn:
         more = f" The first {len(drawn)} of {len(scenes)}." if len(scenes) > len(drawn) else ""
         page.section("Pictures").gallery(drawn, f"The DSMs, shaded from the north-west, north up.{more}")

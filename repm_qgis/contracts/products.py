@@ -428,6 +428,10 @@ def tiles_folder(path: str) -> str:
     return f"{stem}_tiles" if kind.lower() == ".vrt" else ""
 
 
+SO_FAR = "scenes_so_far"
+"""The layer and the page, in the workspace of many scenes, of those that a run which has not ended has made."""
+
+
 def kept_folder(path: str) -> str:
     """The folder, beside a mosaic, for the parts that a stopped run has finished."""
     return f"{os.path.splitext(path)[0]}_blocks"

@@ -20,7 +20,7 @@ from ..contracts.errors import Cancelled, ClusterError, EmptyResultError, RepmEr
 from ..contracts.findings import Finding, by_severity
 from ..contracts.formats import extension_of
 from ..contracts.options import BatchOptions
-from ..contracts.products import product, stem_of
+from ..contracts.products import SO_FAR, product, stem_of
 from ..contracts.records import FusionFacts
 from ..contracts.results import BatchResult, PipelineResult, SceneOutcome
 from ..contracts.stages import MOSAIC, PIPELINE
@@ -33,8 +33,8 @@ from ..names import folder_name
 from ..reports import verdict
 from ..reports.pictures import preview
 from ..runtime.imports import import_failure, is_import_failure
-from ..runtime.progress import Part, Progress, Recorder, counted, listed, warn_all
-from ..runtime.workspace import ensure_folder, file_identity, fingerprint, with_copy
+from ..runtime.progress import Part, Progress, Recorder, Silent, counted, listed, warn_all
+from ..runtime.workspace import ensure_folder, file_identity, fingerprint, remove_temporary, with_copy
 from ..scene import Scene, load_view
 from . import run_stage
 
@@ -42,6 +42,7 @@ _LAST = 0.92  # of the progress, where a mosaic follows
 _SAMPLE_PX = 1000  # of a confidence raster, along the longer side
 _LE90_BAND = next(band for band, name in enumerate(CONFIDENCE_BANDS, start=1) if name.startswith("LE90"))
 _DSM, _REPORT, _RECORD = "dsm.tif", "report.html", "batch.json"
+_LEAST_SHARE = 20  # of the time between two layers of what has ended so far, to the time that one takes
 _LON_LAT = "EPSG:4326"
 
 
@@ -50,16 +51,17 @@ def run(options: BatchOptions, progress: Progress) -> BatchResult:
 
     A scene that fails does not stop the others. Raises EmptyResultError where all fail, what
     :func:`~repm_qgis.batch.scenes.scenes_of` raises, WorkspaceError, ClusterError and Cancelled; what is complete by
-    then stays, for the next run.
+    then stays, for the next run, with a layer and a page of it (:class:`_SoFar`).
     """
     start, run = time.monotonic(), Recorder(progress)
     scenes = scenes_of(options)
     folder = str(ensure_folder(options.workspace))
     run.info(f"{counted(len(scenes), 'scene')}: {listed([scene.name for scene in scenes])}.")
-    share, kept = (_LAST if options.mosaic else 0.98) / len(scenes), []
+    share, kept, so_far = (_LAST if options.mosaic else 0.98) / len(scenes), [], _SoFar(folder, scenes)
     for number, scene in enumerate(scenes):
         title = f"Scene {number + 1} of {len(scenes)}, {scene.name}"
         kept.append(_one(scene, options, Part(run, number * share, (number + 1) * share, title)))
+        so_far.write(kept)
     outcomes = [each.outcome for each in kept]
     warn_all(run, _findings(outcomes))
     first = next((each for each in outcomes if each.error), None)
@@ -79,6 +81,7 @@ def run(options: BatchOptions, progress: Progress) -> BatchResult:
             ("Workspace of all scenes", folder),
         ]
         batch_page(outcomes, path, files).of(folder_name(folder)).write(path, run)
+    so_far.remove()
     progress.step(1.0, "done")
     return BatchResult(
         workspace=options.workspace,
@@ -92,6 +95,41 @@ def run(options: BatchOptions, progress: Progress) -> BatchResult:
         n_reused=sum(each.reused for each in outcomes),
         seconds=round(time.monotonic() - start, 3),
     )
+
+
+class _SoFar:
+    """The layer and the page of the scenes that have ended, beside those of the last run that came to its end. They are
+    there before a cancel: after one no file takes its name any more."""
+
+    def __init__(self, folder: str, scenes: Sequence[SceneOfMany]) -> None:
+        self._folder, self._scenes = folder, scenes
+        self._last, self._took = 0.0, 0.0  # seconds
+
+    def _path(self, extension: str) -> str:
+        return os.path.join(self._folder, f"{SO_FAR}.{extension}")
+
+    def write(self, kept: Sequence[KeptScene]) -> None:
+        """Write both where a scene was made, and others follow; in no more than a twentieth of the time."""
+        start, rest = time.monotonic(), [scene.name for scene in self._scenes[len(kept) :]]
+        if not rest or kept[-1].outcome.reused or start - self._last < _LEAST_SHARE * self._took:
+            return
+        text = (
+            f"This run has not come to its end: {len(kept)} of {len(self._scenes)} scenes are here, and not yet "
+            f"{listed(rest)}. If it was cancelled or has failed, run again with the same workspace: what is complete "
+            "is not computed again."
+        )
+        said = Recorder(Silent())
+        said.warn(Finding("run-unfinished", text, "doubt"))
+        write_footprints(kept, self._path("gpkg"))
+        outcomes, page = [each.outcome for each in kept], self._path("html")
+        files = [("Footprints of the scenes", self._path("gpkg")), ("Workspace of all scenes", self._folder)]
+        batch_page(outcomes, page, files, pictures=False).of(folder_name(self._folder)).write(page, said)
+        self._last = time.monotonic()
+        self._took = self._last - start
+
+    def remove(self) -> None:
+        for extension in ("gpkg", "qml", "html"):
+            remove_temporary(self._path(extension))
 
 
 class _Quiet(Part):

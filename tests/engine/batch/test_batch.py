@@ -265,8 +265,13 @@ def test_a_run_that_is_cancelled_goes_on_and_ends_with_the_same_bytes(first, opt
     with pytest.raises(Cancelled):
         run_stage("batch", given, told())
     assert not (tmp_path / "scenes.gpkg").exists()
+    assert set(features(str(tmp_path / "scenes_so_far.gpkg"))) == {"pair"}
+    page = plain((tmp_path / "scenes_so_far.html").read_text(encoding="utf-8"))
+    assert "1 of 3 scenes are here, and not yet single, triplet. If it was cancelled" in page
+    assert verdict_in(tmp_path / "scenes_so_far.html") != "Good." and "complete before" in page
     monkeypatch.setattr(batch, "run_stage", real)
     result = run_stage("batch", given, told())
+    assert not list(tmp_path.glob("scenes_so_far*")) and set(features(result.output)) == {"pair", "single", "triplet"}
     assert [each.reused for each in result.scenes] == [True, False, False]
     assert [bytes_of(path) for path in result.dsms] == list(first[2].values())
 
