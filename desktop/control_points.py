@@ -57,6 +57,7 @@ from .image_view import ImageView
 from .point_table import PointTable
 
 if TYPE_CHECKING:  # the engine is imported when it is needed
+    from ..repm_qgis.pointing.gcp_measuring import PointCheck
     from ..repm_qgis.scene import View
 
 _WGS84 = QgsCoordinateReferenceSystem("EPSG:4326")
@@ -224,8 +225,6 @@ class ControlPointsDock(QgsDockWidget):
         from ..repm_qgis.scene import Scene, load_views
 
         scene = next((path for path in paths if path.lower().endswith(".json")), "")
-        if not scene and len(paths) < 2:
-            return self._say(self.tr("Choose at least two images of the same ground, or a scene."))
         if not self._tried(lambda: self._set_views(Scene.load(scene).views if scene else load_views(paths))):
             return False
         return self._refresh(move=True)
@@ -462,8 +461,10 @@ class ControlPointsDock(QgsDockWidget):
             return self.tr("Load points, or press New point on the map and click the place on an orthophoto.")
         gcp = self.measuring.point(self._current)
         check = self.table.check(self.measuring.points.index(gcp))
-        if check.offset is None:
+        if check.offset is None and len(self.measuring.views) > 1:
             return self.tr("Point {name}: mark it in at least two images.").format(name=gcp.id)
+        if check.offset is None:
+            return self._of_one_image(gcp.id, check)
         east, north, up = (f"{value:+.2f}" for value in check.offset)
         return self.tr(
             "Point {name}: the images see it {distance} m from its place (east {east}, north {north}, up {up} m), and "
@@ -477,6 +478,17 @@ class ControlPointsDock(QgsDockWidget):
             up=up,
             miss=f"{check.largest_miss_px:.2f}",
         )
+
+    def _of_one_image(self, name: str, check: PointCheck) -> str:
+        """What the only image says of a point: it sees no height, and where the RPC has the point."""
+        found = check.residuals.get(self.measuring.views[0].name)
+        if found is None:
+            return self.tr("Point {name}: mark it in the image.").format(name=name)
+        return self.tr(
+            "Point {name}: the image shows it {distance} px from where the RPC has it. If all points show the same, it "
+            "is the vendor's pointing, which GCPS of 'Export corrected RPCs' corrects; if one point differs, check its "
+            "place and its mark."
+        ).format(name=name, distance=f"{math.hypot(*found):.2f}")
 
     def closeEvent(self, event: QEvent) -> None:
         if self.measuring.unsaved and not self._path:

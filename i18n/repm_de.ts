@@ -307,10 +307,6 @@
         <translation>Bild auf und Bild ab wechseln den Punkt. Ein Doppelklick auf einen Wert ändert ihn.</translation>
     </message>
     <message>
-        <source>Choose at least two images of the same ground, or a scene.</source>
-        <translation>Mindestens zwei Bilder desselben Geländes wählen, oder eine Szene.</translation>
-    </message>
-    <message>
         <source>New point</source>
         <translation>Neuer Punkt</translation>
     </message>
@@ -381,6 +377,14 @@
     <message>
         <source>Point {name}: the images see it {distance} m from its place (east {east}, north {north}, up {up} m), and contradict each other by {miss} px. If all points show the same offset, it is the vendor's pointing, which GCPS corrects; if one point differs, check its place and its marks.</source>
         <translation>Punkt {name}: Die Bilder sehen ihn {distance} m von seinem Ort entfernt (Ost {east}, Nord {north}, Höhe {up} m) und widersprechen einander um {miss} px. Zeigen alle Punkte denselben Versatz, ist es die Ausrichtung des Anbieters, die GCPS korrigiert; weicht ein Punkt ab, seinen Ort und seine Marken prüfen.</translation>
+    </message>
+    <message>
+        <source>Point {name}: mark it in the image.</source>
+        <translation>Punkt {name}: im Bild markieren.</translation>
+    </message>
+    <message>
+        <source>Point {name}: the image shows it {distance} px from where the RPC has it. If all points show the same, it is the vendor's pointing, which GCPS of 'Export corrected RPCs' corrects; if one point differs, check its place and its mark.</source>
+        <translation>Punkt {name}: Das Bild zeigt ihn {distance} px von dort entfernt, wo das RPC ihn hat. Gilt das für alle Punkte gleich, ist es die Ausrichtung des Anbieters, die GCPS von „Korrigierte RPC exportieren“ korrigiert; weicht ein Punkt ab, seinen Ort und seine Marke prüfen.</translation>
     </message>
     <message>
         <source>The measured points are not saved. Save them now? They stay here until QGIS closes.</source>

@@ -39,6 +39,20 @@ def click(image, pixel):
     )
 
 
+def look_at_one_image(dock):
+    """Measures two points in the only image, and saves them."""
+    assert dock.open_images(MADE["images"][:1]), dock.said.text()
+    assert dock.open_points(PLAN["points"]), dock.said.text()
+    FOUND["one image"] = [dock.said.text()]
+    for gcp in dock.measuring.points[:2]:
+        dock.choose(gcp.id)
+        dock.measure("img_01", np.array(PLAN["pixels"][gcp.id]["img_01"]))
+    FOUND["one image"] += [dock.said.text(), dock.panels[0].said.text()]
+    picture(iface.mainWindow(), "one_image.png")
+    dock.save(PLAN["one"])
+    dock._path = ""
+
+
 @guarded
 def open_dock():
     FOUND["before"] = marks()
@@ -50,8 +64,7 @@ def open_dock():
     iface.mapCanvas().setExtent(truth.extent())
     dock = plugins["repm"].menu.measure_control_points()
     FOUND["first words"] = dock.said.text()
-    dock.open_images(MADE["images"][:1])
-    FOUND["one image"] = dock.said.text()
+    look_at_one_image(dock)
     assert dock.open_images(MADE["images"]), dock.said.text()
     FOUND["views"] = [panel.name for panel in dock.panels]
     assert dock.open_points(PLAN["elsewhere"]), dock.said.text()

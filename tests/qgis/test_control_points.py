@@ -31,10 +31,18 @@ def test_points_are_measured_by_mouse_and_keys_and_taken_by_gcps(desktop_start, 
     elsewhere = tmp_path / "elsewhere.csv"
     elsewhere.write_text("id,lon,lat,height,view,col,row\nA,1.44,43.6,190,img_01,9,9\nA,1.44,43.6,190,img_09,9,9\n")
     plan = {"made": vars(town), "points": str(places), "pixels": pixels, "elsewhere": str(elsewhere)}
+    plan["one"] = str(tmp_path / "one.csv")
     found = desktop_start("drive_control_points.py", plan)
     assert found["first words"].startswith("Choose the images")
     assert "1 measurement in images that are not used here (img_09)" in found["elsewhere"]
-    assert found["one image"].startswith("Choose at least two images")
+    before, after, beside = found["one image"]
+    of_two = {gcp.id: gcp.pixels["img_01"] for gcp in read_gcps(plan["one"], views[:1]) if gcp.pixels}
+    assert sorted(of_two) == sorted(gcp.id for gcp in known[:2])
+    off = known[1].pixels["img_01"] - views[0].project(known[1].lon_lat_h)
+    assert before == f"Point {known[0].id}: mark it in the image."
+    told = f"Point {known[1].id}: the image shows it {np.hypot(*off):.2f} px from where the RPC has it"
+    assert after.startswith(told)
+    assert beside.startswith("from the RPC: ")
     assert found["views"] == ["img_01", "img_02", "img_03"] and found["points"] == len(known)
     first, second = known[:2]
     for view, pixel in found["clicked"].items():
