@@ -12,7 +12,7 @@ from qgis.PyQt.QtWidgets import QAction
 
 from ..processing_provider import installation
 from ..processing_provider.base import resource
-from . import batch_pages, model_copy
+from . import batch_pages, confidence_link, model_copy
 from .control_points import ControlPointsDock
 from .docking import dock_beside_map
 from .documents import open_document
@@ -42,6 +42,7 @@ class PluginMenu:
         batch_pages.allow_missing_times()
         self._hillshades = Hillshades(iface=iface)
         self._group_zoom = GroupZoom(iface)
+        confidence_link.register(iface)
         self._dock: Optional[ControlPointsDock] = None
         self._editor: Optional[SurfaceEditingDock] = None
         self._scenes: Optional[ScenesDock] = None
@@ -100,6 +101,7 @@ class PluginMenu:
         model_copy.unregister(self._toolbox_actions)
         batch_pages.require_times_again()
         self._group_zoom.stop()
+        confidence_link.unregister()
         self._hillshades.stop()
         self._actions, self._toolbox_actions = [], []
 

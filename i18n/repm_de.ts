@@ -257,6 +257,25 @@
     </message>
 </context>
 <context>
+    <name>ConfidenceLink</name>
+    <message>
+        <source>Link to the confidence</source>
+        <translation>Verweis auf die Konfidenz</translation>
+    </message>
+    <message>
+        <source>Expected errors (confidence)</source>
+        <translation>Erwartete Fehler (Konfidenz)</translation>
+    </message>
+    <message>
+        <source>Shows the error that each height is expected to have, or hides it again.</source>
+        <translation>Zeigt den Fehler, der für jede Höhe zu erwarten ist, oder blendet ihn wieder aus.</translation>
+    </message>
+    <message>
+        <source>The confidence of this DSM is not in this project any more.</source>
+        <translation>Die Konfidenz dieses DOM ist nicht mehr in diesem Projekt.</translation>
+    </message>
+</context>
+<context>
     <name>ControlPointsDock</name>
     <message>
         <source>1. Images or scene…</source>

@@ -38,6 +38,10 @@ which has a group of its own."""
 HILLSHADE = "repm/hillshade"
 """The property of a node in the tree of layers: 1 where the layer has a hillshade, 0 where the user switched it off."""
 
+CONFIDENCE, CONFIDENCE_LINK = "repm/confidence", "repm_confidence"
+"""The property of a DSM's layer that names the layer of its confidence, and the widget of its legend that leads there
+(``desktop/confidence_link.py``)."""
+
 
 def _tr(text: str) -> str:
     return QCoreApplication.translate("RepmStyles", text)
@@ -57,6 +61,17 @@ class Run:
     kinds: set[str] = field(default_factory=set)
     number: int = 0
     data: bool = False
+    layers: dict[str, QgsMapLayer] = field(default_factory=dict)  # that are on the map, by kind
+
+    def link(self) -> None:
+        """Lead from the legend of the DSM to the confidence, where both are there."""
+        dsm, confidence = (self.layers.get(kind) for kind in ("dsm", "confidence"))
+        if dsm is not None and confidence is not None:
+            dsm.setCustomProperty(CONFIDENCE, confidence.id())
+            dsm.setCustomProperty("embeddedWidgets/count", 1)
+            dsm.setCustomProperty("embeddedWidgets/0/id", CONFIDENCE_LINK)
+            dsm.legendChanged.emit()
+            self.layers.clear()
 
     def label(self) -> str:
         """The name of the group: which scene, of when, of which of several runs."""
@@ -137,6 +152,8 @@ class LayerStyler(QgsProcessingLayerPostProcessorInterface):
         if self._kind == "dsm" and isinstance(layer, QgsRasterLayer):
             shade(placed)
             _as_terrain(layer, project)
+        self._run.layers[self._kind] = layer
+        self._run.link()
 
 
 def _without_collar(layer: QgsRasterLayer) -> None:

@@ -531,6 +531,9 @@ class ParametersPanel(QtWidgets.QWidget):
         for name, value in parameters.items():
             self.wrappers[name].setParameterValue(value, self.processing_context)
 
+    def createProcessingParameters(self):
+        return {name: wrapper.parameterValue() for name, wrapper in self.wrappers.items()}
+
 
 class AlgorithmDialogBase(QtWidgets.QDialog):
     algorithmFinished = Signal(bool, dict)
@@ -545,7 +548,7 @@ class AlgorithmDialog(AlgorithmDialogBase):
     def __init__(self, algorithm, in_place=False, parent=None):
         super().__init__(parent)
         self._algorithm, self.in_place, self.active_layer = algorithm, in_place, None
-        self._bar, self.runs = QgsMessageBar(self), 0
+        self._bar, self.runs, self._buttons = QgsMessageBar(self), 0, QtWidgets.QDialogButtonBox(self)
         self.panel = self.getParametersPanel(algorithm, self)
         run = QtWidgets.QPushButton("Run", self)
         run.clicked.connect(lambda: self.runAlgorithm())
@@ -561,11 +564,17 @@ class AlgorithmDialog(AlgorithmDialogBase):
     def cancelButton(self):
         return self._cancel
 
+    def mainWidget(self):
+        return self.panel
+
+    def buttonBox(self):
+        return self._buttons
+
     def messageBar(self):
         return self._bar
 
     def createProcessingParameters(self):
-        return {name: wrapper.parameterValue() for name, wrapper in self.panel.wrappers.items()}
+        return self.panel.createProcessingParameters()
 
     def runAlgorithm(self):
         self.runs += 1

@@ -9,7 +9,7 @@ import sys
 
 from qgis.core import QgsProject
 from qgis.PyQt.QtCore import QTimer
-from qgis.PyQt.QtWidgets import QApplication, QDockWidget
+from qgis.PyQt.QtWidgets import QApplication, QDockWidget, QLabel
 from qgis.utils import iface, plugins
 
 sys.path.insert(0, os.environ["REPM_DESKTOP_DRIVERS"])
@@ -94,7 +94,23 @@ def look(dialog, success):
 def show_map():
     iface.mapCanvas().waitWhileRendering()
     picture(iface.mainWindow(), "map.png")
+    follow_link()
     finish()
+
+
+def follow_link():
+    """Click the link in the legend of a DSM twice, and look whether the confidence is shown."""
+    links = [each for each in iface.layerTreeView().findChildren(QLabel) if "href" in each.text() and each.isVisible()]
+    FOUND["links"] = [each.text() for each in links]
+    FOUND["linked"] = []
+    for link in links * 2:
+        link.linkActivated.emit("confidence")
+        QApplication.processEvents()
+        active = iface.activeLayer()
+        node = QgsProject.instance().layerTreeRoot().findLayer(active.id())
+        FOUND["linked"].append([active.name(), node.isVisible()])
+    iface.mapCanvas().waitWhileRendering()
+    picture(iface.mainWindow(), "linked.png")
 
 
 begin(open_from_toolbox)

@@ -56,6 +56,8 @@ def test_the_pipeline_in_the_desktop_brings_styled_layers(desktop, town, tmp_pat
         ("DSM (WGS 84 ellipsoid)", True),
     ]
     assert {layer["group"] for layer in found["layers"]} == {"old town"}
+    assert found["links"] == ['<a href="confidence">Expected errors (confidence)</a>']  # in the legend of the DSM
+    assert found["linked"] == [["Confidence old town", True], ["Confidence old town", False]]
     assert layers["Point cloud old town"]["renderer"] == "QgsPointCloudAttributeByRampRenderer"
     assert (layers["Point cloud old town"]["in_3d"], layers["Mesh old town"]["in_3d"]) == ("pointcloud", "mesh")
     assert all(layer["valid"] and layer["crs"].startswith("EPSG:326") for layer in layers.values())
