@@ -114,6 +114,12 @@ def urban(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def hamlet(tmp_path_factory):
+    """A part of a town, in two fifths of the pixels: for what does not depend on how good heights are."""
+    return TruthScene("urban", tmp_path_factory.mktemp("hamlet"), 256)
+
+
+@pytest.fixture(scope="session")
 def mountains(tmp_path_factory):
     return TruthScene("mountains", tmp_path_factory.mktemp("mountains"), 400)
 

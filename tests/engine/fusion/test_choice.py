@@ -124,27 +124,27 @@ def test_nothing_stays_nothing():
     assert np.isnan(decided(np.full(SHAPE, np.nan), images())).all()
 
 
-@pytest.mark.parametrize("window", (np.s_[100:160, 90:170], np.s_[97:150, 101:143]))
 @pytest.mark.long
-def test_a_part_is_decided_as_in_the_whole(window):
+def test_a_part_is_decided_as_in_the_whole():
     """Rough heights, rough images: inside the reach of all sweeps the same bytes."""
     shape, halo = (260, 270), reach_cells(CELL)
     height = np.where(NUMBERS.uniform(size=shape) < 0.4, ROOF, GROUND) + NUMBERS.normal(0, 0.3, shape)
     light = NUMBERS.uniform(0, 1, shape).astype(np.float32)
     evidence = NUMBERS.uniform(0.1, 1, shape)
     height[NUMBERS.uniform(size=shape) < 0.1] = np.nan
-    wide = tuple(slice(part.start - halo, part.stop + halo) for part in window)
-    assert all(part.start >= 0 and part.stop <= side for part, side in zip(wide, shape))
 
     def solved(cells):
         first = one_map_of(height[cells], evidence[cells])
         nothing = np.full(first.height.shape, np.nan, np.float32)
         return chosen(Problem(first, nothing, light[cells], CELL))
 
-    whole, part = solved(np.s_[:, :]), solved(wide)
-    inner = tuple(slice(halo, halo + side.stop - side.start) for side in window)
-    assert (whole != height.astype(np.float32))[window].mean() > 0.1
-    np.testing.assert_array_equal(part[inner], whole[window])
+    whole = solved(np.s_[:, :])
+    for window in (np.s_[100:160, 90:170], np.s_[97:150, 101:143]):
+        wide = tuple(slice(part.start - halo, part.stop + halo) for part in window)
+        assert all(part.start >= 0 and part.stop <= side for part, side in zip(wide, shape))
+        inner = tuple(slice(halo, halo + side.stop - side.start) for side in window)
+        assert (whole != height.astype(np.float32))[window].mean() > 0.1
+        np.testing.assert_array_equal(solved(wide)[inner], whole[window])
 
 
 def one_map_of(height, evidence):

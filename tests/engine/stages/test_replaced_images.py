@@ -19,12 +19,33 @@ from repm_qgis.stages import dsmfuse, exportcameras, fusing, reconstruct, run_st
 WORDS = "was made from other pixels than '.*img_02.tif' has now: restore the image, or run 'Fit"
 
 
+@pytest.fixture(scope="module")
+def project(hamlet, tmp_path_factory, told):
+    """A folder with a pair of images, their scene, and the scene with heights; it was moved, so that copies of it have
+    images of their own."""
+    folder = tmp_path_factory.mktemp("made") / "project"
+    folder.mkdir()
+    images = [shutil.copy(path, folder) for path in hamlet.images[:2]]
+    made = run_stage("epmfit", {"images": images, "workspace": str(folder / "w")}, told())
+    done = {"scene": made.scene, "output_scene": str(folder / "w" / "done.json"), "workers": 1}
+    run_stage("reconstruct", done, told())
+    return shutil.move(folder, tmp_path_factory.mktemp("moved")), [Path(image).name for image in images]
+
+
 @pytest.fixture
-def fitted(urban, tmp_path, told):
-    """A scene of a pair of images of its own, as options of the stages that follow."""
-    images = [shutil.copy(path, tmp_path) for path in urban.images[:2]]
-    made = run_stage("epmfit", {"images": images, "workspace": str(tmp_path / "w")}, told())
-    return images, {"scene": made.scene, "output_scene": str(tmp_path / "w" / "reconstructed.json"), "workers": 1}
+def fitted(project, tmp_path):
+    """A copy of the pair and its scene, as options of the stages that follow."""
+    folder, names = project
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    scene, after = (str(tmp_path / "w" / name) for name in ("scene.json", "reconstructed.json"))
+    return [str(tmp_path / name) for name in names], {"scene": scene, "output_scene": after, "workers": 1}
+
+
+@pytest.fixture
+def fusion(fitted, tmp_path):
+    """The images and a fusion of their heights."""
+    scene = str(tmp_path / "w" / "done.json")
+    return fitted[0], {"scene": scene, "output": str(tmp_path / "dsm.tif"), "workers": 1}
 
 
 def replace_image(path):
@@ -54,37 +75,32 @@ def test_amid_a_stage(fitted, told, monkeypatch):
     assert not Path(options["output_scene"]).exists()
 
 
-def test_amid_the_fusion(fitted, tmp_path, told, monkeypatch):
+def test_amid_the_fusion(fusion, tmp_path, told, monkeypatch):
     """A DSM whose brightness is of other pixels does not take its name."""
-    images, options = fitted
-    made = run_stage("reconstruct", options, told())
+    images, options = fusion
     last = fusing._chosen
     monkeypatch.setattr(fusing, "_chosen", lambda *given: (last(*given), replace_image(images[1]))[0])
     with pytest.raises(SceneError, match=WORDS):
-        run_stage("dsmfuse", {"scene": made.output_scene, "output": str(tmp_path / "dsm.tif"), "workers": 1}, told())
+        run_stage("dsmfuse", options, told())
     assert not (tmp_path / "dsm.tif").exists()
 
 
-def test_the_orthophoto_is_of_the_same_pixels(fitted, tmp_path, told):
-    images, options = fitted
-    made = run_stage("reconstruct", options, told())
-    products = {"output": str(tmp_path / "dsm.tif"), "ortho": str(tmp_path / "ortho.tif"), "workers": 1}
+def test_the_orthophoto_is_of_the_same_pixels(fusion, tmp_path, told):
+    images, options = fusion
     replace_image(images[1])
     with pytest.raises(SceneError, match=WORDS):
-        run_stage("dsmfuse", {"scene": made.output_scene, **products}, told())
+        run_stage("dsmfuse", {**options, "ortho": str(tmp_path / "ortho.tif")}, told())
     assert not (tmp_path / "ortho.tif").exists()
 
 
 @pytest.mark.long
-def test_amid_the_orthophoto(fitted, tmp_path, told, monkeypatch):
+def test_amid_the_orthophoto(fusion, tmp_path, told, monkeypatch):
     """One of other pixels than the DSM's does not take its name, and the products appear together."""
-    images, options = fitted
-    made = run_stage("reconstruct", options, told())
+    images, options = fusion
     last = grey_ortho.run_tasks
     monkeypatch.setattr(grey_ortho, "run_tasks", lambda *given: (last(*given), replace_image(images[1]))[0])
-    products = {"output": str(tmp_path / "dsm.tif"), "ortho": str(tmp_path / "ortho.tif"), "workers": 1}
     with pytest.raises(SceneError, match=WORDS):
-        run_stage("dsmfuse", {"scene": made.output_scene, **products}, told())
+        run_stage("dsmfuse", {**options, "ortho": str(tmp_path / "ortho.tif")}, told())
     assert not (tmp_path / "dsm.tif").exists() and not (tmp_path / "ortho.tif").exists()
 
 
@@ -105,15 +121,15 @@ def test_amid_the_export(fitted, tmp_path, told, monkeypatch):
     assert not list((tmp_path / "cameras").rglob("*.tif"))
 
 
-def test_an_image_that_is_read_for_its_colours(fitted, urban):
+def test_an_image_that_is_read_for_its_colours(fitted, hamlet):
     """It is none of the scene's, which knows nothing of it: it is compared with what it was at the beginning."""
     images, options = fitted
     scene = Scene.load(options["scene"])
     require = dsmfuse._same_images(scene, [*images, colours := f"{images[0]}.colours.tif"])
     with pytest.raises(ImageError, match="colours.tif' was replaced while its colours were read"):
-        shutil.copy(urban.images[2], colours)
+        shutil.copy(hamlet.images[2], colours)
         require()
-    shutil.copy(urban.images[2], colours)
+    shutil.copy(hamlet.images[2], colours)
     require = dsmfuse._same_images(scene, [*images, colours])
     require()
     replace_image(colours)

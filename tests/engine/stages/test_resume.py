@@ -53,12 +53,12 @@ def reused(said):
 
 
 @pytest.fixture(scope="module")
-def whole(urban, tmp_path_factory, pipeline):
+def whole(hamlet, tmp_path_factory, pipeline):
     """A pair's DSM in four tiles, from an undisturbed run."""
     return pipeline(
-        urban,
+        hamlet,
         tmp_path_factory.mktemp("whole"),
-        images=urban.images[:2],
+        images=hamlet.images[:2],
         resolution=0.5,
         tile_size=256,
         confidence=None,
@@ -72,7 +72,7 @@ def whole(urban, tmp_path_factory, pipeline):
 
 @pytest.fixture
 def again(whole, tmp_path, told):
-    """again(**changes): the urban run once more on a copy of its workspace; the result and what was said."""
+    """again(**changes): the first run once more on a copy of its workspace; the result and what was said."""
     workspace = tmp_path / "ws"
     shutil.copytree(whole.workspace, workspace)
 
@@ -106,16 +106,16 @@ def points_of(path):
 
 
 @pytest.mark.slow
-def test_where_products_are_copied_to_does_not_matter(again, urban, tmp_path):
+def test_where_products_are_copied_to_does_not_matter(again, hamlet, tmp_path):
     """QGIS names other temporary files at every run; those of the first are gone at the second."""
     runs = []
     for number in range(2):
         folder = tmp_path / f"temporary_{number}"
         folder.mkdir()
-        gcps = shutil.copy(urban.made.gcps, str(folder / "layer.csv"))
+        gcps = shutil.copy(hamlet.made.gcps, str(folder / "layer.csv"))
         places = {name: str(folder / f"{name}.gpkg") for name in ("tiles", "tie_points")}
         changes = {**places, "report": str(folder / "report.html"), "output": str(folder / "dsm.tif")}
-        result, said = again(images=urban.images, gcps=gcps, **changes)
+        result, said = again(images=hamlet.images, gcps=gcps, **changes)
         assert {name: getattr(result, name) for name in changes} == changes
         layers = {name: points_of(path) for name, path in places.items()}
         assert all(Path(path).with_suffix(".qml").exists() for path in places.values())
@@ -130,12 +130,12 @@ def test_where_products_are_copied_to_does_not_matter(again, urban, tmp_path):
 
 
 @pytest.mark.slow
-def test_control_points_that_say_something_else_are_found_again(again, urban, tmp_path):
+def test_control_points_that_say_something_else_are_found_again(again, hamlet, tmp_path):
     gcps = tmp_path / "gcps.csv"
-    gcps.write_text(Path(urban.made.gcps).read_text())
-    again(images=urban.images, gcps=str(gcps))
+    gcps.write_text(Path(hamlet.made.gcps).read_text())
+    again(images=hamlet.images, gcps=str(gcps))
     gcps.write_text(gcps.read_text().replace(",control", ",check", 3))  # the rows of one point
-    assert reused(again(images=urban.images, gcps=str(gcps))[1])[2] is False
+    assert reused(again(images=hamlet.images, gcps=str(gcps))[1])[2] is False
 
 
 @pytest.mark.parametrize(
@@ -160,9 +160,9 @@ def test_a_changed_option_makes_anew_what_depends_on_it(again, whole, change, ke
     assert not np.array_equal(heights(result.output), heights(whole.result.output))
 
 
-def test_a_changed_image_makes_everything_anew(again, urban, tmp_path):
+def test_a_changed_image_makes_everything_anew(again, hamlet, tmp_path):
     images = []
-    for path in urban.images[:2]:
+    for path in hamlet.images[:2]:
         images.append(shutil.copy(path, tmp_path))
     _, said = again(images=images)
     assert reused(said) == [False, False, False]
@@ -224,11 +224,11 @@ def test_fusion_alone_refuses_a_damaged_height_map(again, told):
     assert not os.path.exists(again.output)
 
 
-def test_a_project_that_was_moved_works(urban, whole, tmp_path, told):
+def test_a_project_that_was_moved_works(hamlet, whole, tmp_path, told):
     """Workspace and images in one folder, which is moved: height maps and images are found from the scene."""
     before, now = tmp_path / "before", tmp_path / "now"
     before.mkdir()
-    images = [shutil.copy(path, before) for path in urban.images[:2]]
+    images = [shutil.copy(path, before) for path in hamlet.images[:2]]
     options = {**whole.options, "images": images, "workspace": str(before / "w"), "output": str(before / "dsm.tif")}
     run_stage("pipeline", options, told())
     shutil.move(before, now)
@@ -265,7 +265,7 @@ def test_what_a_killed_run_left_is_no_hindrance(again, whole):
 
 @pytest.mark.parametrize("workers, share", ((1, 0.02), (1, 0.3), (1, 0.6), (1, 0.9), (2, 0.3), (2, 0.7)))
 @pytest.mark.slow
-def test_cancel_leaves_no_half_made_file_and_the_next_run_succeeds(urban, whole, tmp_path, told, workers, share):
+def test_cancel_leaves_no_half_made_file_and_the_next_run_succeeds(hamlet, whole, tmp_path, told, workers, share):
     options = {
         **whole.options,
         "workspace": str(tmp_path / "ws"),
