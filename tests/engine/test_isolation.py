@@ -47,7 +47,8 @@ LIGHT = [
 def test_light_stages_and_the_registry_need_only_what_qgis_ships():
     """numpy, GDAL, pyproj and jinja2: these modules run in QGIS's own process, where the wheels may be missing."""
     done = python(
-        "import importlib, sys\nfor name in ('cv2', 'pycolmap', 'laspy', 'lazrs', 'pyfqmr', 'open3d', 'scipy', 'qgis'):\n"
+        "import importlib, sys\n"
+        "for name in ('cv2', 'pycolmap', 'laspy', 'lazrs', 'pyfqmr', 'open3d', 'scipy', 'qgis'):\n"
         f"    sys.modules[name] = None\nfor module in {(*LIGHT, 'matching.backends')!r}:\n"
         "    importlib.import_module(f'repm_qgis.{module}')"
     )
@@ -118,9 +119,8 @@ def test_the_command_line_counts_a_bug_as_2(tmp_path):
 @pytest.mark.long
 def test_the_command_line_runs_a_pipeline(hamlet, tmp_path):
     """One heavy stage as QGIS starts it: JSON lines alone, rising progress, the result last."""
-    (tmp_path / "job.json").write_text(
-        json.dumps({"images": hamlet.images[:2], "workspace": str(tmp_path / "ws"), "output": str(tmp_path / "dsm.tif")})
-    )
+    job = {"images": hamlet.images[:2], "workspace": str(tmp_path / "ws"), "output": str(tmp_path / "dsm.tif")}
+    (tmp_path / "job.json").write_text(json.dumps(job))
     done = subprocess.run(
         [sys.executable, "-m", "repm_qgis", "pipeline", str(tmp_path / "job.json")],
         cwd=ROOT,

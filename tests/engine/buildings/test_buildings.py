@@ -342,6 +342,7 @@ def test_hillsides_are_no_good_buildings(tmp_path, told, given):
     assert "surfaces steeper than 40 % that no walls bound" in finding and "Good." not in report.read_text("utf-8")
 
 
+@pytest.mark.long
 def test_blocks_change_no_byte(tmp_path):
     from dataclasses import replace
 

@@ -155,6 +155,7 @@ def test_what_changed_has_no_part_in_what_the_alignment_gained(tmp_path, told):
     assert now <= before < now + 0.02 < 0.25, said
 
 
+@pytest.mark.long
 def test_walls_that_matching_moved_are_no_change(tmp_path, told):
     """The tall house is a metre wider on one date, and the strip that it hides is bridged."""
     wide = ground()
@@ -265,6 +266,7 @@ def test_uncertain_heights_need_larger_changes(dates, tmp_path, told):
     assert found.changes == 1 and found.lost_m3 == 0
 
 
+@pytest.mark.long
 def test_other_cells_and_another_crs(dates, witnessed, tmp_path, told):
     """The second date has cells of 1 m in degrees' neighbour zone; volumes stay the same."""
     far = gdal.Warp(
@@ -285,6 +287,7 @@ def test_other_cells_and_another_crs(dates, witnessed, tmp_path, told):
         assert gdal.Open(str(tmp_path / "d.tif")).GetGeoTransform()[1] == 1
 
 
+@pytest.mark.long
 def test_blocks_change_nothing(dates, tmp_path, told):
     made = []
     for name, side in (("one", 1024), ("many", 64)):
@@ -302,6 +305,7 @@ def test_blocks_change_nothing(dates, tmp_path, told):
         assert one == pytest.approx(many, rel=1e-9)
 
 
+@pytest.mark.long
 def test_small_changes_are_left_out(dates, tmp_path, told):
     assert change(*dates, tmp_path, told, min_area=450).gained_m3 == 0
     for more in (700, 1e9):

@@ -210,6 +210,7 @@ def test_agrees_with_the_scoring_tool_on_real_dsms(shared_data, make_raster, sit
     assert above.rmse == pytest.approx(0.25, abs=1e-4) and above.valid == pytest.approx(100)
 
 
+@pytest.mark.long
 def test_identical_grids_agree_exactly_with_the_tool(shared_data, make_raster):
     path = shared_data / "truth_urban" / "truth.tif"
     dataset = gdal.Open(str(path))

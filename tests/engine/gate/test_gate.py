@@ -68,6 +68,7 @@ def test_expected_errors_of_another_unit_are_named(dsm, tmp_path, median, said):
     assert confidence_findings(dsm, written(tmp_path / "sound.tif", varied(0.1)), "CONFIDENCE") == []
 
 
+@pytest.mark.long
 def test_errors_of_other_units_are_named_whoever_reads_them(dsm, tmp_path):
     second = written(tmp_path / "b.tif", surface(1), metadata={"REPM_DAYS": "2024-05-01"})
     third = written(tmp_path / "c.tif", surface(2), west=WEST + 60.0)
@@ -256,6 +257,7 @@ def test_what_files_say_about_their_time_is_compared_with_what_the_user_says(tmp
     assert reversed_.id == "dates-reversed" and "gains and losses are exchanged" in reversed_
 
 
+@pytest.mark.long
 def test_the_cases_that_were_read_wrongly(shared_data, tmp_path, told):
     """Small inputs of ../shared/data/cases, on which 1a5763d7 said "Good."."""
     cases = shared_data / "cases"

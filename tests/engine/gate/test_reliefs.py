@@ -46,7 +46,7 @@ def compared(folder, stage, heights, align="none", reference=None, **more):
     return run.findings
 
 
-STAGES = ("comparedsm", "change", "series")
+STAGES = ("comparedsm", "change", pytest.param("series", marks=pytest.mark.long))
 WRONG = {
     "feet": lambda of: of / 0.3048,
     "another town": lambda of: town(11),
