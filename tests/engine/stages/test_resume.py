@@ -21,6 +21,8 @@ from repm_qgis.stages import run_stage
 
 pytestmark = pytest.mark.long
 
+ROOT = Path(__file__).resolve().parents[3]
+
 LEAVE_HALF = """
 import os, sys
 from repm_qgis.runtime.workspace import temporary_name
@@ -192,21 +194,22 @@ def damage(path, how):
     dataset = None
 
 
-@pytest.mark.parametrize(
-    "how, stopped", (("cut", True), ("text", False), ("empty", False), ("smaller", False), ("one bit", True))
-)
+@pytest.mark.parametrize("damages, stopped", ((("cut", "one bit"), True), (("text", "empty", "smaller"), False)))
 @pytest.mark.slow
-def test_a_damaged_height_map_is_made_again_and_named(again, whole, how, stopped):
-    path = sorted((again.workspace / "reconstructed_heights").glob("*.tif"))[0]
-    good = heights(str(path))
-    damage(path, how)
+def test_damaged_height_maps_are_made_again_and_named(again, whole, damages, stopped):
+    paths = sorted((again.workspace / "reconstructed_heights").glob("*.tif"))
+    good = {path: heights(str(path)) for path in paths}
+    for path, how in zip(paths, damages):
+        damage(path, how)
     if stopped:
         os.unlink(again.workspace / "reconstructed.json")
     result, said = again()
-    np.testing.assert_array_equal(heights(str(path)), good)
+    for path in paths:
+        np.testing.assert_array_equal(heights(str(path)), good[path])
     np.testing.assert_array_equal(heights(result.output), heights(whole.result.output))
-    assert any("Reused 3 of 4 height maps" in note for note in said.notes)
-    assert any("damaged" in text and str(path) in text for text in said.warnings)
+    assert any(f"Reused {4 - len(damages)} of 4 height maps" in note for note in said.notes)
+    named = {path for path in paths if any("damaged" in text and str(path) in text for text in said.warnings)}
+    assert named == set(paths[: len(damages)])
 
 
 def test_fusion_alone_refuses_a_damaged_height_map(again, told):
@@ -249,7 +252,7 @@ def test_what_a_killed_run_left_is_no_hindrance(again, whole):
     name = sorted(path.name for path in folder.glob("*.tif"))[0]
     os.unlink(folder / name)
     killed = subprocess.run(  # a process that ends with a file half-written
-        [sys.executable, "-c", LEAVE_HALF, str(folder / name)], cwd=Path(__file__).resolve().parents[3], check=False
+        [sys.executable, "-c", LEAVE_HALF, str(folder / name)], cwd=ROOT, check=False
     )
     assert abs(killed.returncode) == 9 and len(parts(folder)) == 1
     result, _ = again()
@@ -294,7 +297,7 @@ def test_a_killed_run_goes_on_with_the_tiles_it_has_finished(again, whole, told,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=os.name != "nt",
-        cwd=Path(__file__).resolve().parents[3],
+        cwd=ROOT,
     )
     end = time.monotonic() + 60
     while len(whole_maps()) < 2 and engine.poll() is None and time.monotonic() < end:
@@ -350,17 +353,28 @@ run_stage("dsmfuse", json.loads(sys.argv[1]), Silent())
 """
 
 
+@pytest.fixture(scope="module")
+def after_the_kill(whole, tmp_path_factory):
+    """The workspace of a fusion that was killed at the third of four tiles, and a copy of it."""
+    folder = tmp_path_factory.mktemp("killed")
+    workspace = shutil.copytree(whole.workspace, folder / "ws")
+    options = {"scene": str(workspace / "reconstructed.json"), "output": str(folder / "dsm.tif"), "resolution": 0.5}
+    options.update(workers=1, cloud=str(folder / "cloud.laz"))
+    killed = subprocess.run([sys.executable, "-c", STOP_AFTER_TWO, json.dumps(options)], cwd=ROOT, check=False)
+    assert abs(killed.returncode) == 9 and not os.path.exists(options["output"])
+    assert len(list((workspace / "reconstructed_fusion").glob("*/*.npz"))) == 2
+    return workspace, shutil.copytree(workspace, folder / "copy")
+
+
 @pytest.fixture
-def killed_fusion(again, tmp_path):
-    """The options of a fusion that was killed at the third of four tiles, and the folder of its fused tiles."""
-    options = {"scene": str(again.workspace / "reconstructed.json"), "output": again.output, "resolution": 0.5}
+def killed_fusion(after_the_kill, tmp_path):
+    """The options of that fusion, to be run on at its place, and the folder of its fused tiles."""
+    workspace, copy = after_the_kill
+    shutil.rmtree(workspace)
+    shutil.copytree(copy, workspace)
+    options = {"scene": str(workspace / "reconstructed.json"), "output": str(tmp_path / "dsm.tif"), "resolution": 0.5}
     options.update(workers=1, cloud=str(tmp_path / "cloud.laz"))
-    command = [sys.executable, "-c", STOP_AFTER_TWO, json.dumps(options)]
-    killed = subprocess.run(command, cwd=Path(__file__).resolve().parents[3], check=False)
-    folder = again.workspace / "reconstructed_fusion"
-    assert abs(killed.returncode) == 9 and not os.path.exists(again.output)
-    assert len(list(folder.glob("*/*.npz"))) == 2
-    return options, folder
+    return options, workspace / "reconstructed_fusion"
 
 
 def test_fusion_goes_on_with_the_tiles_it_has_finished(killed_fusion, whole, told):
