@@ -12,74 +12,28 @@ import subprocess
 import sys
 
 import pytest
-from osgeo import gdal, osr
+from osgeo import gdal
 from qgis.core import QgsApplication, QgsProcessingContext, QgsProcessingException, QgsProject
-
-
-def variant(path, source, change=None, metadata=None, nodata=None, projected=False):
-    """A copy of an image with other pixels, another RPC ({} for none), or a place on a map."""
-    original = gdal.OpenEx(source)
-    pixels = original.GetRasterBand(1).ReadAsArray()
-    copy = gdal.GetDriverByName("GTiff").Create(str(path), *pixels.shape[::-1], 1, gdal.GDT_UInt16)
-    band = copy.GetRasterBand(1)
-    band.WriteArray(pixels if change is None else change(pixels))
-    if nodata is not None:
-        band.SetNoDataValue(nodata)
-    rpc = original.GetMetadata("RPC") if metadata is None else metadata
-    if rpc:
-        copy.SetMetadata(rpc, "RPC")
-    if projected:
-        reference = osr.SpatialReference()
-        reference.ImportFromEPSG(32631)
-        copy.SetGeoTransform((300000, 0.5, 0, 5000000, 0, -0.5))
-        copy.SetProjection(reference.ExportToWkt())
-    band = copy = original = None
-    return str(path)
-
-
-def spoilt(path, source, **entries):
-    """A copy whose RPC has other entries."""
-    original = gdal.OpenEx(source)
-    metadata = {**original.GetMetadata("RPC"), **entries}
-    original = None
-    return variant(path, source, metadata=metadata)
 
 
 @pytest.fixture(scope="module")
 def bad(sample, tmp_path_factory):
     """Second images, each spoilt in one way, by name."""
     folder = tmp_path_factory.mktemp("bad")
-    second = sample.images[1]
-    cut = folder / "cut.tif"
-    cut.write_bytes(pathlib.Path(second).read_bytes()[:30000])
+    pixels = gdal.OpenEx(sample.images[1]).ReadAsArray()
+    plain = gdal.GetDriverByName("GTiff").Create(str(folder / "norpc.tif"), *pixels.shape[::-1], 1, gdal.GDT_UInt16)
+    plain.GetRasterBand(1).WriteArray(pixels)
+    plain = None  # noqa: F841
+    (folder / "cut.tif").write_bytes(pathlib.Path(sample.images[1]).read_bytes()[:30000])
     (folder / "text.tif").write_text("no image at all")
-    return {
-        "no rpc": variant(folder / "norpc.tif", second, metadata={}),
-        "projected": variant(folder / "projected.tif", second, metadata={}, projected=True),
-        "nodata": variant(folder / "nodata.tif", second, lambda p: p * 0, nodata=0),
-        "nan": spoilt(folder / "nan.tif", second, LINE_OFF="nan"),
-        "zero scale": spoilt(folder / "zero.tif", second, LAT_SCALE="0"),
-        "elsewhere": spoilt(folder / "far.tif", second, LONG_OFF="2.44"),
-        "cut": str(cut),
-        "text": str(folder / "text.tif"),
-        "gone": str(folder / "gone.tif"),
-    }
+    return {name: str(folder / f"{name.replace(' ', '')}.tif") for name in SENTENCES}
 
 
+# One of each kind of error: tests/engine/stages/test_bad_input.py has them all.
 SENTENCES = {
     "no rpc": ("No RPC found for", "norpc.tif'", "Looked in:", "Put the vendor's RPC file"),
-    "projected": ("projected.tif' has no RPC and is already projected", "order the Basic, Sensor or Primary level"),
-    "nodata": ("nodata.tif' has only nodata", "choose another image"),
-    "nan": ("nan.tif'", "row offset is nan", "Get the file again"),
-    "zero scale": ("zero.tif'", "lat scale is 0", "Get the file again"),
-    "elsewhere": ("do not overlap", "longitude 2.44", "Choose images of one place"),
     "cut": ("cut.tif'", "damaged or cut short", "get it again"),
-    "text": (
-        "text.tif'",
-        "not recognized as",
-        "supported file format",
-        "Check the path",
-    ),  # GDAL 3.10 says "as being in a"
+    "text": ("text.tif'", "not recognized as", "supported file format", "Check the path"),  # GDAL 3.10: "as being in a"
     "gone": ("gone.tif'", "does not exist", "Check the path"),
 }
 
@@ -153,16 +107,9 @@ def test_an_absurd_request_is_refused_in_the_dialog(plugin, context, sample, tmp
     [
         ({"EXTENT": "0,1,0,1 [EPSG:4326]"}, ("EXTENT x 0.00000 to 1.00000", "EPSG:4326", "x 1.43", "Draw it there")),
         ({"CRS": "EPSG:4326"}, ("CRS is 'EPSG:4326'", "must be a projected CRS")),
-        ({"CRS": "EPSG:2263"}, ("CRS is 'EPSG:2263'", "foot", "choose one in metres")),
-        ({"MODEL": "quadratic"}, ("MODEL is 'quadratic'", "must be one of none, homography, polynomial, terrain")),
-        ({"ORDER": 9}, ("ORDER is 9", "between 2 and 5")),
         ({"ORDER": "2.5"}, ("ORDER is '2.5'", "a whole number")),
         ({"RESOLUTION": "fine"}, ("RESOLUTION is 'fine'", "must be a number")),
-        ({"RESOLUTION": -1}, ("RESOLUTION is -1", "between 0.01 and 1000 m, or 0")),
-        ({"ALTITUDE_MIN": 5000}, ("ALTITUDE_MIN is 5000", "the ground lies between")),
-        ({"TILE_SIZE": 10}, ("TILE_SIZE is 10", "256 and 20000 px, or 0")),
         ({"DEM": "gone.tif"}, ("DEM 'gone.tif' is not there",)),
-        ({"WORKSPACE": "/proc/none"}, ("folder '/proc/none'", "choose another one")),
         ({"OUTPUT": "/proc/none/dsm.tif"}, ("folder '/proc/none'", "choose another one")),  # before the matching
     ],
 )
@@ -263,23 +210,15 @@ def test_a_slip_in_a_parameters_name_is_told(plugin, feedback, sample, tmp_path)
     ]
 
 
-@pytest.mark.parametrize("fault", ["no rpc", "cut"])
 @pytest.mark.long
-def test_qgis_process_ends_with_code_1(headless, sample, bad, tmp_path, fault):
-    done = headless(
-        "run",
-        "repm:pipeline",
-        "--",
-        f"IMAGES={sample.images[0]}",
-        f"IMAGES={bad[fault]}",
-        f"WORKSPACE={tmp_path / 'w'}",
-        f"OUTPUT={tmp_path / 'dsm.tif'}",
-        REPM_ENGINE_PYTHON=sys.executable,
-    )
+def test_qgis_process_ends_with_code_1(headless, sample, bad, tmp_path):
+    files = (f"IMAGES={sample.images[0]}", f"IMAGES={bad['cut']}", f"WORKSPACE={tmp_path / 'w'}")
+    output = f"OUTPUT={tmp_path / 'dsm.tif'}"
+    done = headless("run", "repm:pipeline", "--", *files, output, REPM_ENGINE_PYTHON=sys.executable)
     said = done.stdout + done.stderr
     assert done.returncode == 1
     assert "Traceback" not in said
-    assert all(word in said for word in SENTENCES[fault]), said
+    assert all(word in said for word in SENTENCES["cut"]), said
     assert not (tmp_path / "dsm.tif").exists()
 
 

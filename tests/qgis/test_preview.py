@@ -76,6 +76,7 @@ def test_a_preview_without_the_desktop_keeps_what_it_makes_in_its_own_folder(hea
     assert os.listdir(tmp_path / "w") == ["preview"] and os.path.exists(found["OVERLAPS"])
 
 
+@pytest.mark.long
 def test_the_scene_of_a_preview_is_not_taken_up_by_the_next_stage(provider, context, feedback, town, tmp_path):
     from repm.processing_provider.last_scene import last_scene
 

@@ -96,6 +96,7 @@ def test_the_terrain_model_takes_the_dem_or_finds_its_surface(given, model, surf
         ("pipeline", {"resolution": float("nan")}, "between 0.01 and 1000 m, or 0 for automatic"),
         ("pipeline", {"geometric": "yes"}, "GEOMETRIC is 'yes': it must be true or false."),
         ("pipeline", {"workers": True}, "WORKERS is True"),
+        ("pipeline", {"tile_size": 10}, "TILE_SIZE is 10: it must be a whole number between 256 and 20000 px, or 0"),
         ("pipeline", {"model": "bent"}, "MODEL is 'bent': it must be one of none, homography, polynomial, terrain."),
         ("pipeline", {"altitude_min": 300.0, "altitude_max": 200}, "must be below ALTITUDE_MAX (200 m)"),
         ("dsmfuse", {"scene": "s.json", "output": "d.tif", "cloud": "c.xyz"}, "must end with .laz, .las or .ply"),
