@@ -137,33 +137,10 @@ def test_the_pipeline_makes_all_that_it_names(whole):
     assert page.count("<td>order</td>") == 1  # one table of options for all stages
 
 
-@pytest.mark.slow
-def test_a_second_run_says_what_it_reused(whole, run):
-    given, results, _ = whole
-    before = heights(results["OUTPUT"])[0]
-    _, heard = run("pipeline", **given)
-    assert [text for text in heard["info"] if "eused" in text]
-    np.testing.assert_array_equal(heights(results["OUTPUT"])[0], before)
-
-
 def test_the_dsm_is_near_the_truth(whole, run, town):
     results, _ = run("comparedsm", DSM=whole[1]["OUTPUT"], REFERENCE=town.truth, ALIGN="3d", THRESHOLDS="2")
     assert results["NMAD"] < 0.6
     assert results["COMPLETENESS"] > 60
-
-
-@pytest.mark.slow
-def test_single_stages_give_the_pipelines_dsm(whole, run, town, tmp_path):
-    fitted, _ = run("epmfit", IMAGES=town.images, WORKSPACE=str(tmp_path / "w"))
-    refined, _ = run("refine", SCENE=fitted["SCENE"], OUTPUT_SCENE=str(tmp_path / "refined" / "scene.json"))
-    rebuilt, _ = run(
-        "reconstruct", SCENE=refined["OUTPUT_SCENE"], OUTPUT_SCENE=str(tmp_path / "rebuilt" / "scene.json")
-    )
-    fused, _ = run("dsmfuse", SCENE=rebuilt["OUTPUT_SCENE"], RESOLUTION=1.0, OUTPUT=str(tmp_path / "dsm.tif"))
-    assert os.path.isdir(rebuilt["HEIGHTS"])
-    got, want = heights(fused["OUTPUT"]), heights(whole[1]["OUTPUT"])
-    assert got[1] == want[1]
-    np.testing.assert_array_equal(got[0], want[0])
 
 
 @pytest.mark.slow

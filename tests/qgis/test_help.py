@@ -1,15 +1,11 @@
-"""The Help button's pages: HTML with what the dialog shows, without a network, and with examples that work."""
+"""The Help button's pages: HTML with what the dialog shows, without a network. test_commands.py tries the examples."""
 
 from __future__ import annotations
 
 import html
 import pathlib
 import re
-import shlex
-import subprocess
-import sys
 import urllib.parse
-import zipfile
 from html.parser import HTMLParser
 
 import pytest
@@ -17,9 +13,6 @@ from qgis.core import QgsApplication
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 NAMES = sorted(path.stem for path in (ROOT / "docs" / "algorithms").glob("*.md"))
-IN_ORDER = "environment sampledata batch inspect epmfit errormap refine exportcameras reconstruct exportrpc".split()
-IN_ORDER += ["register", "dsmfuse", "pipeline", "comparedsm", "checkgcps", "mosaic", "viewer", "tiles3d", "dtm"]
-IN_ORDER += ["editdsm", "change", "series", "buildings"]
 
 
 def help_page(name):
@@ -152,48 +145,6 @@ def test_documents_have_the_structure_that_a_renderer_of_markdown_gives_them(plu
         page = re.search(r"(?s)<main>(.*)</main>", to_page(text, f"{PLUGIN_FOLDER}/docs"))[1]
         visible = re.sub(r"(?ms)^<!--.*?-->$", "", text)
         assert Structure(page).found == Structure(judge.render(visible)).found, path.name
-
-
-def examples(name):
-    text = (ROOT / "docs" / "algorithms" / f"{name}.md").read_text(encoding="utf-8")
-    return [" ".join(found.split("\\\n")) for found in re.findall(r"(?m)^    qgis_process ((?:.*\\\n)*.*)$", text)]
-
-
-@pytest.mark.slow
-def test_the_examples_of_help_work_one_after_the_other_from_the_zip(headless, tmp_path):
-    """Word for word, but for smaller images: each of them takes what those before it wrote."""
-    assert sorted(IN_ORDER) == NAMES and all(examples(name) for name in NAMES)
-    package = [sys.executable, str(ROOT / "scripts" / "package"), str(tmp_path / "dist")]
-    subprocess.run(package, check=True, stdout=subprocess.PIPE)
-    (archive,) = (tmp_path / "dist").iterdir()
-    plugins = tmp_path / "config" / "profiles" / "default" / "python" / "plugins"
-    plugins.mkdir(parents=True)
-    with zipfile.ZipFile(archive) as opened:
-        opened.extractall(plugins)
-    folder = tmp_path / "work folder"
-    folder.mkdir()
-    for name in IN_ORDER:
-        for example in examples(name):
-            words = shlex.split(example.replace("SIZE=800", "SIZE=500"))
-            settings = {"config": tmp_path / "config", "REPM_ENGINE_PYTHON": sys.executable}
-            done = headless(*words, timeout=300, cwd=folder, **settings)
-            assert done.returncode == 0, f"{example}\n{done.stdout}{done.stderr}"
-            for word in words:
-                key, _, value = word.partition("=")
-                if key in (
-                    "OUTPUT",
-                    "OUTPUT_SCENE",
-                    "REPORT",
-                    "CLOUD",
-                    "MESH",
-                    "EPT",
-                    "ERROR",
-                    "FOLDER",
-                    "SOURCES",
-                    "VIEWER",
-                    "TILES3D",
-                ):
-                    assert (folder / value).exists(), f"{example}: no {key}"
 
 
 @pytest.fixture
