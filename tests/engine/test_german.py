@@ -57,7 +57,7 @@ def engine(stage, folder, **job):
 def sample(tmp_path_factory):
     folder, heard = tmp_path_factory.mktemp("sample"), Heard()
     with written_in("de"):
-        made = run_stage("sampledata", {"folder": str(folder), "size": 400}, heard)
+        made = run_stage("sampledata", {"folder": str(folder), "size": 256}, heard)
     assert not english_in(heard.texts)
     return made
 

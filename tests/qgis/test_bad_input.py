@@ -199,6 +199,7 @@ def test_dialogs_name_fields_and_layers_in_their_own_words(plugin, context, feed
         project.removeMapLayer(layer.id())
 
 
+@pytest.mark.long
 def test_a_slip_in_a_parameters_name_is_told(plugin, feedback, sample, tmp_path):
     algorithm = QgsApplication.processingRegistry().algorithmById("repm:epmfit")
     _, fine = algorithm.run(
@@ -243,6 +244,7 @@ def test_a_missing_wheel_is_one_sentence_with_the_remedy(headless, sample, tmp_p
     assert "Traceback" not in said
 
 
+@pytest.mark.long
 def test_nothing_is_written_beside_inputs(plugin, feedback, sample, tmp_path):
     for name in ("dsm.tif", "reference.tif"):
         shutil.copy(sample.truth, tmp_path / name)

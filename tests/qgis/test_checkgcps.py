@@ -230,6 +230,7 @@ def test_a_text_layer_is_its_file_or_a_copy(plugin, sample, fitted, tmp_path, fe
     assert same(run_with(sample.gcps, fitted, tmp_path, feedback), run_with(layer, fitted, tmp_path, feedback))
 
 
+@pytest.mark.long
 def test_rpc_files_are_named_in_the_images_order(plugin, sample, tmp_path, feedback):
     """Copies of the images without tags, and their RPCs in files that no convention finds."""
     gdal.UseExceptions()

@@ -23,6 +23,7 @@ from qgis.core import (
 )
 
 
+@pytest.mark.long
 def test_tiles_come_with_name_style_and_crs(load, sample, tmp_path, feedback):
     workspace = tmp_path / "town"
     results, layers = load(
@@ -304,6 +305,7 @@ def test_without_a_project_or_a_provider_nothing_is_loaded(plugin, feedback, mon
     assert list(context.layersToLoadOnCompletion()) == [str(tmp_path / "m.ply")]
 
 
+@pytest.mark.long
 def test_height_errors_are_styled_about_zero(load, sample, tmp_path):
     dsm = shutil.copy(sample.truth, tmp_path / "dsm.tif")
     dataset = gdal.Open(str(dsm), gdal.GA_Update)

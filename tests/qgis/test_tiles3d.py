@@ -11,6 +11,7 @@ from qgis.PyQt.QtCore import QSize
 from qgis.PyQt.QtGui import QColor
 
 
+@pytest.mark.long
 def test_the_algorithm_writes_a_tileset(load, town, tmp_path, feedback):
     results, _ = load("tiles3d", {"DSM": town.truth, "TILES3D": str(tmp_path / "tiles")}, {})
     assert pathlib.Path(results["TILESET"]) == tmp_path / "tiles" / "tileset.json"

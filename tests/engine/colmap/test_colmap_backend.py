@@ -151,6 +151,7 @@ def test_every_view_gets_a_height_map_of_the_surface(urban, matched):
 
 
 @needs_pycolmap_4
+@pytest.mark.long
 def test_heights_lie_where_another_crs_puts_them(matched):
     from repm_qgis.geometry.frames import geodetic_from_projected
 
@@ -165,6 +166,7 @@ def test_heights_lie_where_another_crs_puts_them(matched):
 
 
 @needs_pycolmap_4
+@pytest.mark.long
 def test_the_same_again_is_reused_and_anything_else_is_not(matched):
     task, records = matched
 
@@ -519,6 +521,7 @@ def test_colmap_without_cuda_refuses_before_any_work(refined, tmp_path, told, ur
 
 
 @needs_pycolmap_4
+@pytest.mark.long
 def test_a_height_map_of_another_scene_is_refused(matched, tmp_path):
     task, records = matched
     for change in (

@@ -32,16 +32,11 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def scenes(urban, folder, told):
+def scenes(urban, urban_run, folder, told):
     """Paths of the fitted, the refined and the reconstructed scene of the town: four tiles, three views."""
     fitted = run_stage("epmfit", {"images": urban.images, "workspace": str(folder / "w"), "tile_size": 256}, told())
     refined = run_stage("refine", {"scene": fitted.scene, "output_scene": str(folder / "w" / "refined.json")}, told())
-    rebuilt = run_stage(
-        "reconstruct",
-        {"scene": refined.output_scene, "workers": 1, "output_scene": str(folder / "w" / "rebuilt.json")},
-        told(),
-    )
-    return {"fitted": fitted.scene, "refined": refined.output_scene, "rebuilt": rebuilt.output_scene}
+    return {"fitted": fitted.scene, "refined": refined.output_scene, "rebuilt": urban_run.result.scene}
 
 
 @pytest.fixture(scope="module")

@@ -279,6 +279,7 @@ def test_a_cancel_leaves_nothing_and_is_quick(index, home, folder, words):
     assert left(home) == []
 
 
+@pytest.mark.long
 def test_a_cancel_does_not_wait_for_slow_imports(index, home, folder, tmp_path):
     """A virus scanner reads each library at its first import, say."""
     for name, (module, version) in WHEELS.items():
@@ -345,6 +346,7 @@ def test_too_little_space_is_refused_before_anything_is_made(index, home, folder
 
 
 @pytest.mark.skipif(os.name == "nt", reason="limits a process with ulimit")
+@pytest.mark.long
 def test_a_disk_that_fills_up_is_a_sentence_and_leaves_nothing(index, home, folder, wheels, tmp_path):
     large = tmp_path / "large"
     large.mkdir()

@@ -409,6 +409,7 @@ def test_a_vrt_shows_what_the_geotiff_has_also_where_both_were_moved(both, tmp_p
         assert tile.GetMetadata("IMAGE_STRUCTURE")["LAYOUT"] == "COG"
 
 
+@pytest.mark.long
 def test_the_overview_of_a_vrt_is_the_mean_and_numbers_are_not_averaged(both):
     tif, vrt, _ = both
     with raster.opened(str(vrt / "output.vrt")) as dataset:

@@ -123,6 +123,7 @@ def test_a_plain_tells_the_height_and_no_position():
     assert abs(solved.moved[2] - shift[2]) < 0.5 and solved.deviations[:2] == pytest.approx([8.0, 8.0])
 
 
+@pytest.mark.long
 def test_a_level_reference_tells_no_position_of_a_town():
     """The town's own slopes are no evidence: with a constant surface they agree nowhere better than elsewhere."""
     rng = np.random.default_rng(5)

@@ -69,6 +69,7 @@ def test_each_figure_beyond_its_bound_is_a_finding(made):
     assert "The cameras of a tile differ from the RPC" in finding
 
 
+@pytest.mark.long
 def test_no_page_is_good_where_a_stage_or_the_run_has_warned(urban_run, made, tmp_path):
     scene, _ = made
     early = replace(scene.history[0], warnings=(Finding("a", "An early warning."),))

@@ -78,6 +78,7 @@ def test_tasks_run_on_all_workers_and_come_back_in_order(cluster, on):
     assert max(said.fractions) == 1.0
 
 
+@pytest.mark.long
 def test_cancel_ends_a_run_within_two_seconds(cluster, on):
     block, said = on(cluster, cancel_at=20)
     start = time.monotonic()
@@ -88,8 +89,8 @@ def test_cancel_ends_a_run_within_two_seconds(cluster, on):
 
 
 @pytest.mark.slow
-def test_the_pipeline_gives_the_same_bytes(cluster, urban, told, tmp_path):
-    options = {"images": urban.images[:2], "tile_size": 256, "resolution": 0.5, "workers": 1}
+def test_the_pipeline_gives_the_same_bytes(cluster, hamlet, told, tmp_path):
+    options = {"images": hamlet.images[:2], "tile_size": 256, "resolution": 0.5, "workers": 1}
 
     def run(name, **more):
         made = {file.split(".")[0]: str(tmp_path / name / file) for file in FILES}
@@ -101,7 +102,7 @@ def test_the_pipeline_gives_the_same_bytes(cluster, urban, told, tmp_path):
     for file in FILES:
         assert Path(tmp_path / "here" / file).read_bytes() == Path(tmp_path / "there" / file).read_bytes(), file
     assert here.valid == there.valid and here.seconds.keys() == there.seconds.keys()
-    compare = {"dsm": there.output, "reference": urban.truth, "align": "vertical"}
+    compare = {"dsm": there.output, "reference": hamlet.truth, "align": "vertical"}
     figures = [run_stage("comparedsm", {**compare, "cluster": each}, told()) for each in ("", cluster.address)]
     assert figures[0] == figures[1]
 
@@ -133,6 +134,7 @@ def test_a_mosaic_gives_the_same_bytes_and_the_workers_write_it(cluster, told, t
     assert len(list((tmp_path / "there").rglob("*"))) == len(files) + 1
 
 
+@pytest.mark.long
 def test_a_task_whose_worker_dies_is_done_again_elsewhere(cluster, on, tmp_path):
     block, said = on(cluster)
     with block:
@@ -150,6 +152,7 @@ def test_a_tile_that_kills_every_worker_is_named_and_the_rest_is_done(start_clus
         run_tasks(tasks.deadly, list(range(12)), 0, said, "tile {}".format)
 
 
+@pytest.mark.long
 def test_a_scheduler_that_dies_ends_the_run_in_a_sentence(start_cluster, on):
     cluster = start_cluster()
     block, said = on(cluster)
@@ -196,6 +199,7 @@ def test_a_bad_address_is_a_sentence(on, tmp_path, address, words):
         pass
 
 
+@pytest.mark.long
 def test_workers_that_differ_are_a_sentence(cluster, on, monkeypatch):
     import numpy
 
@@ -210,6 +214,7 @@ def test_workers_that_differ_are_a_sentence(cluster, on, monkeypatch):
         pass
 
 
+@pytest.mark.long
 def test_storage_that_is_not_shared_is_a_sentence(cluster, on, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "image.tif").write_bytes(b"1")
@@ -224,13 +229,13 @@ def test_storage_that_is_not_shared_is_a_sentence(cluster, on, tmp_path, monkeyp
 
 
 @pytest.mark.slow
-def test_images_in_cloud_storage_are_read_by_the_workers(cluster, on, urban, told, tmp_path, monkeypatch):
+def test_images_in_cloud_storage_are_read_by_the_workers(cluster, on, hamlet, told, tmp_path, monkeypatch):
     """A bucket on this machine: the same heights as from files; workers without its settings are a sentence."""
-    bases = [os.path.basename(path) for path in urban.images[:2]]
+    bases = [os.path.basename(path) for path in hamlet.images[:2]]
     made = {"tile_size": 256, "resolution": 0.5, "output": str(tmp_path / "dsm.tif"), "workspace": str(tmp_path / "w")}
-    options = {**made, "images": urban.images[:2], "workspace": str(tmp_path / "files")}
+    options = {**made, "images": hamlet.images[:2], "workspace": str(tmp_path / "files")}
     wanted = gdal.Open(run_stage("pipeline", options, told()).output).ReadAsArray()
-    with bucket(os.path.dirname(urban.images[0])) as (settings, asked):
+    with bucket(os.path.dirname(hamlet.images[0])) as (settings, asked):
         for name, value in settings.items():
             monkeypatch.setenv(name, value)
         images = [f"/vsis3/town/{base}" for base in bases]
@@ -247,7 +252,7 @@ def test_images_in_cloud_storage_are_read_by_the_workers(cluster, on, urban, tol
     assert len(asked) > before
 
 
-def test_a_cluster_without_dask_is_a_sentence_and_nothing_imports_it_otherwise(urban, told, tmp_path, monkeypatch):
+def test_a_cluster_without_dask_is_a_sentence_and_nothing_imports_it_otherwise(hamlet, told, tmp_path, monkeypatch):
     code = (
         "import sys; import repm_qgis.stages.pipeline, repm_qgis.stages.comparedsm; print('distributed' in sys.modules)"
     )
@@ -255,14 +260,14 @@ def test_a_cluster_without_dask_is_a_sentence_and_nothing_imports_it_otherwise(u
     assert found.stdout == "False\n"
     monkeypatch.setitem(sys.modules, "distributed", None)
     monkeypatch.delitem(sys.modules, "repm_qgis.runtime.cluster", raising=False)
-    options = {"images": urban.images[:2], "workspace": str(tmp_path / "w"), "output": str(tmp_path / "d.tif")}
+    options = {"images": hamlet.images[:2], "workspace": str(tmp_path / "w"), "output": str(tmp_path / "d.tif")}
     with pytest.raises(MissingPackageError, match="CLUSTER needs the Python package 'distributed'"):
         run_stage("pipeline", {**options, "cluster": "tcp://127.0.0.1:1"}, told())
 
 
-def test_relative_paths_are_refused(urban, told, tmp_path, monkeypatch):
+def test_relative_paths_are_refused(hamlet, told, tmp_path, monkeypatch):
     """Workers would read and write them in their own folders."""
     monkeypatch.chdir(tmp_path)
-    options = {"images": urban.images[:2], "workspace": str(tmp_path / "w"), "output": "dsm.tif"}
+    options = {"images": hamlet.images[:2], "workspace": str(tmp_path / "w"), "output": "dsm.tif"}
     with pytest.raises(OptionError, match="OUTPUT is 'dsm.tif': it must be an absolute path where CLUSTER is used"):
         run_stage("pipeline", {**options, "cluster": "tcp://127.0.0.1:1"}, told())
