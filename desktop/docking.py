@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from qgis.gui import QgisInterface
 from qgis.PyQt.QtCore import Qt
-from qgis.PyQt.QtWidgets import QDockWidget, QFrame, QScrollArea, QWidget
+from qgis.PyQt.QtWidgets import QAbstractScrollArea, QDockWidget, QFrame, QScrollArea, QSizePolicy, QWidget
 
 _LEAST_HEIGHT = 400  # px for each dock of a column; below, docks share their place as tabs
+_LEAST_LIST = 60  # px, of two lines
 
 
 def dock_beside_map(iface: QgisInterface, dock: QDockWidget) -> None:
@@ -19,7 +20,13 @@ def dock_beside_map(iface: QgisInterface, dock: QDockWidget) -> None:
     ]
     iface.addDockWidget(right, dock)
     if others and window.centralWidget().height() < _LEAST_HEIGHT * (len(others) + 1):
-        window.tabifyDockWidget(others[-1], dock)
+        window.tabifyDockWidget(max(others, key=lambda each: each.height()), dock)
+
+
+def takes_the_rest(inside: QAbstractScrollArea) -> None:
+    """Have a list or a tree take the height that is left, however little that is: what is below it stays in sight."""
+    inside.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
+    inside.setMinimumHeight(_LEAST_LIST)
 
 
 def scrolling(inside: QWidget) -> QScrollArea:

@@ -23,7 +23,7 @@ from qgis.core import (
 )
 from qgis.gui import QgisInterface, QgsMessageBar, QgsMessageBarItem
 from qgis.PyQt.QtCore import QCoreApplication, QSizeF, Qt
-from qgis.PyQt.QtWidgets import QPushButton, QTextBrowser, QWidget
+from qgis.PyQt.QtWidgets import QPushButton, QSizePolicy, QTextBrowser, QWidget
 
 from ..processing_provider import last_scene
 from ..processing_provider.kept import is_lasting
@@ -36,6 +36,7 @@ from ..repm_qgis.contracts.products import STYLES, products_of
 from ..repm_qgis.scene import is_registered
 from .preview import draw_area, taken_over
 
+_LEAST_TEXT = 120  # px of a message beside its buttons
 _PATH = ("inspect", "pipeline", "dsmfuse", "comparedsm", "register")
 Button = tuple[str, Callable[[], object]]
 Step = tuple[str, list[Button], list[Button]]
@@ -224,18 +225,23 @@ def push_message(bar: QgsMessageBar, text: str, buttons: list[Button]) -> QgsMes
         button = QPushButton(title, message)
         button.clicked.connect(lambda *_, run=run: run())
         message.layout().addWidget(button)
-    shown = bar.pushWidget(message, Qgis.MessageLevel.Info, 0)
     for browser in message.findChildren(QTextBrowser):
         _show_whole(browser)
-    return shown
+        message.layout().setStretchFactor(browser, 1)
+    return bar.pushWidget(message, Qgis.MessageLevel.Info, 0)
 
 
 def _show_whole(browser: QTextBrowser) -> None:
     """Give a text beside buttons the lines that it needs: QGIS has place for one, and a scroll bar for the second."""
 
     def grow(size: QSizeF) -> None:
-        browser.setMinimumHeight(math.ceil(size.height()) + 2 * browser.frameWidth())
+        line = browser.fontMetrics().lineSpacing()
+        more = line if size.height() > 2 * line else 0  # QGIS's style sheet begins a line of its own height lower
+        browser.setMinimumHeight(math.ceil(size.height()) + 2 * browser.frameWidth() + more)
 
+    # Else a text takes 256 px at least, and on a small screen the map takes the place of the panels beside it.
+    browser.setSizePolicy(QSizePolicy.Policy.Ignored, browser.sizePolicy().verticalPolicy())
+    browser.setMinimumWidth(_LEAST_TEXT)
     browser.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
     layout = browser.document().documentLayout()
     layout.documentSizeChanged.connect(grow)

@@ -38,7 +38,7 @@ from ..processing_provider.parameters import tr
 from ..processing_provider.values import layer_path
 from ..repm_qgis.names import period
 from .control_points import ControlPointsDock
-from .docking import scrolling
+from .docking import scrolling, takes_the_rest
 from .next_step import STEPS
 from .scene_actions import SceneActions, can_show, show_file
 from .scene_reading import THUMBNAIL_PX, Reader, picture_of
@@ -108,7 +108,8 @@ class ScenesDock(QgsDockWidget):
         row.addStretch()
         inside = QWidget()
         layout = QVBoxLayout(inside)
-        layout.addWidget(self.tree)
+        takes_the_rest(self.tree)
+        layout.addWidget(self.tree, 1)
         layout.addWidget(self.said)
         layout.addLayout(row)
         self.setWidget(scrolling(inside))

@@ -46,7 +46,7 @@ from qgis.PyQt.QtWidgets import (
 from ..processing_provider.kept import is_lasting
 from ..processing_provider.language import said
 from ..processing_provider.values import layer_path
-from .docking import scrolling
+from .docking import scrolling, takes_the_rest
 from .drawing_tool import BRUSH, LINE, POLYGON, DrawingTool
 
 if TYPE_CHECKING:  # the engine is imported when it is needed
@@ -155,6 +155,7 @@ class SurfaceEditingDock(QgsDockWidget):
         layout = QVBoxLayout(inside)
         layout.addLayout(form)
         layout.addLayout(row)
+        takes_the_rest(self.list)
         layout.addWidget(self.list, 1)
         layout.addWidget(self.said)
         self.setWidget(scrolling(inside))

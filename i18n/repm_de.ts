@@ -190,6 +190,61 @@
     </message>
 </context>
 <context>
+    <name>ClientPage</name>
+    <message>
+        <source>Digital surface model from satellite images</source>
+        <translation>Digitales Oberflächenmodell aus Satellitenbildern</translation>
+    </message>
+    <message>
+        <source>Orthophoto</source>
+        <translation>Orthophoto</translation>
+    </message>
+    <message>
+        <source>Images: their providers. Surface model: REPM {version}.</source>
+        <translation>Bilder: ihre Anbieter. Oberflächenmodell: REPM {version}.</translation>
+    </message>
+    <message>
+        <source>date unknown</source>
+        <translation>Datum unbekannt</translation>
+    </message>
+    <message>
+        <source>Images</source>
+        <translation>Bilder</translation>
+    </message>
+    <message>
+        <source>Cells</source>
+        <translation>Zellen</translation>
+    </message>
+    <message>
+        <source>Extent</source>
+        <translation>Ausdehnung</translation>
+    </message>
+    <message>
+        <source>CRS</source>
+        <translation>KBS</translation>
+    </message>
+    <message>
+        <source>Heights above</source>
+        <translation>Höhen über</translation>
+    </message>
+    <message>
+        <source>Position</source>
+        <translation>Lage</translation>
+    </message>
+    <message>
+        <source>by control or a reference</source>
+        <translation>nach Passpunkten oder einer Referenz</translation>
+    </message>
+    <message>
+        <source>as the images' RPCs have it</source>
+        <translation>nach den RPC der Bilder</translation>
+    </message>
+    <message>
+        <source>Heights</source>
+        <translation>Höhen</translation>
+    </message>
+</context>
+<context>
     <name>CompareDsm</name>
     <message>
         <source>Compare a DSM with a reference</source>
@@ -1082,66 +1137,6 @@
     <message>
         <source>Parameters</source>
         <translation>Parameter</translation>
-    </message>
-    <message>
-        <source>Digital surface model from satellite images</source>
-        <translation>Digitales Oberflächenmodell aus Satellitenbildern</translation>
-    </message>
-    <message>
-        <source>Orthophoto</source>
-        <translation>Orthophoto</translation>
-    </message>
-    <message>
-        <source>Images: their providers. Surface model: REPM {version}.</source>
-        <translation>Bilder: ihre Anbieter. Oberflächenmodell: REPM {version}.</translation>
-    </message>
-    <message>
-        <source>date unknown</source>
-        <translation>Datum unbekannt</translation>
-    </message>
-    <message>
-        <source>Images</source>
-        <translation>Bilder</translation>
-    </message>
-    <message>
-        <source>Cells</source>
-        <translation>Zellen</translation>
-    </message>
-    <message>
-        <source>Extent</source>
-        <translation>Ausdehnung</translation>
-    </message>
-    <message>
-        <source>CRS</source>
-        <translation>KBS</translation>
-    </message>
-    <message>
-        <source>Heights above</source>
-        <translation>Höhen über</translation>
-    </message>
-    <message>
-        <source>Position</source>
-        <translation>Lage</translation>
-    </message>
-    <message>
-        <source>by control or a reference</source>
-        <translation>nach Passpunkten oder einer Referenz</translation>
-    </message>
-    <message>
-        <source>as the images' RPCs have it</source>
-        <translation>nach den RPC der Bilder</translation>
-    </message>
-    <message>
-        <source>Heights</source>
-        <translation>Höhen</translation>
-    </message>
-    <message>
-        <source>Preview</source>
-        <translation>Vorschau</translation>
-    </message>
-    <message>
-        <source>Show all the ground of these images at 8 times their ground sampling distance, in seconds</source>
-        <translation>In Sekunden das ganze Gelände dieser Bilder zeigen, mit achtmal so großen Pixeln</translation>
     </message>
 </context>
 <context>
@@ -2454,6 +2449,17 @@
     <message>
         <source>The file to open: tileset.json</source>
         <translation>Die Datei zum Öffnen: tileset.json</translation>
+    </message>
+</context>
+<context>
+    <name>RepmPreview</name>
+    <message>
+        <source>Preview</source>
+        <translation>Vorschau</translation>
+    </message>
+    <message>
+        <source>Show all the ground of these images at 8 times their ground sampling distance, in seconds</source>
+        <translation>In Sekunden das ganze Gelände dieser Bilder zeigen, mit achtmal so großen Pixeln</translation>
     </message>
 </context>
 <context>

@@ -66,7 +66,7 @@ class Pipeline(RepmAlgorithm):
         for kind in ("footprints", "overlaps"):
             path = outputs.get(kind.upper())
             if path:
-                title = self.tr(PipelineResult.outputs()[kind].label)
+                title = parameters.tr(PipelineResult.outputs()[kind].label)
                 style = os.path.splitext(path)[0] + ".qml"
                 hint = QgsProcessingUtils.LayerHint.Vector
                 styles.load_too(context, path, hint, run.name(title), kind, run, style)

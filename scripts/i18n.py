@@ -23,21 +23,23 @@ from xml.sax.saxutils import escape
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 FOLDERS = ROOT / "processing_provider", ROOT / "desktop"
 BASE = "RepmAlgorithm"  # the context of texts that all algorithms share; base.py looks there second
-MODULES = {
-    "parameters.py": "RepmParameters",
-    "settings.py": "RepmSettings",
-    "styles.py": "RepmStyles",
-    "model_copy.py": "RepmModelCopy",
-    "words.py": "RepmWords",
-    "install.py": "RepmInstall",
-    "next_step.py": "RepmNextStep",
-}
+PARAMETERS = "RepmParameters"  # the context of parameters.py, and of what products and results are called
+
+
+def own_context(tree: ast.Module) -> str:
+    """The context in which a module's own tr or _tr looks its texts up, "" where it has none."""
+    for function in tree.body:
+        if isinstance(function, ast.FunctionDef) and function.name in ("tr", "_tr"):
+            calls = (node for node in ast.walk(function) if isinstance(node, ast.Call) and len(node.args) == 2)
+            return next(str(call.args[0].value) for call in calls if isinstance(call.args[0], ast.Constant))
+    return ""
 
 
 def texts_of(path: pathlib.Path) -> dict[str, list[str]]:
     """Translatable texts of a module by context, in the order of the source."""
     found: dict[str, list[str]] = {}
     tree = ast.parse(path.read_text(encoding="utf-8"))
+    own = own_context(tree)
 
     def add(context: str, node: ast.AST) -> None:
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
@@ -52,7 +54,7 @@ def texts_of(path: pathlib.Path) -> dict[str, list[str]]:
             method = isinstance(called, ast.Attribute) and called.attr == "tr"
             function = isinstance(called, ast.Name) and called.id in ("tr", "_tr")
             if method or function:
-                add(MODULES.get(path.name, context) if function else context, node.args[0])
+                add((own or context) if function else context, node.args[0])
         for target in getattr(node, "targets", []) + [getattr(node, "target", None)]:
             if isinstance(target, ast.Name) and target.id == "GROUPS":
                 for value in getattr(getattr(node, "value", None), "values", []):
@@ -81,7 +83,7 @@ def labels_of_results() -> list[str]:
 def source() -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     modules = [texts_of(path) for folder in FOLDERS for path in sorted(folder.glob("*.py"))]
-    for texts_by_context in (*modules, {MODULES["parameters.py"]: [*texts_of_products(), *labels_of_results()]}):
+    for texts_by_context in (*modules, {PARAMETERS: [*texts_of_products(), *labels_of_results()]}):
         for context, texts in texts_by_context.items():
             known = found.setdefault(context, [])
             known += [text for text in dict.fromkeys(texts) if text not in known]
@@ -143,7 +145,7 @@ WORDS = (
     "area before after begins fusion matching refinement contradicted control check done maps no none point points "
     "unknown yes DSM wrong Report Tiles images parameters "
     "uncorrected corrected horizontally determined east west north south height north-west north-east south-west "
-    "south-east middle CRS registered"
+    "south-east middle CRS registered preview"
 ).split()
 """Words of one small letter or of a name's form that stand alone in texts: all others of that kind are codes."""
 _MOST_FORMS = 16
@@ -293,7 +295,7 @@ def _read_in_models() -> list[str]:
     keys = "ALG_DESC|SHORT_DESCRIPTION|component_description|description"
     texts = [path.read_text("utf-8") for path in sorted((ROOT / "resources" / "models").glob("*.model3"))]
     read = [html.unescape(found) for text in texts for found in re.findall(f'name="(?:{keys})" value="([^"]*)"', text)]
-    ours = source()[MODULES["parameters.py"]]
+    ours = source()[PARAMETERS]
     return [text for text in read if text not in ours]
 
 
@@ -339,7 +341,7 @@ def engine_catalogue(language: str) -> dict[str, str]:
     path = ROOT / "i18n" / f"engine_{language}.json"
     done = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     dialogs = translations(ROOT / "i18n" / f"repm_{language}.ts")
-    titles = {text: dialogs.get((MODULES["parameters.py"], text), "") for text in titles_of_products()}
+    titles = {text: dialogs.get((PARAMETERS, text), "") for text in titles_of_products()}
     return {text: titles.get(text) or done.get(text, "") for text in engine_texts()}
 
 

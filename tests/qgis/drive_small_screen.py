@@ -8,6 +8,7 @@ from qgis.PyQt.QtCore import QPoint, QRect
 from qgis.PyQt.QtTest import QTest
 from qgis.PyQt.QtWidgets import QAbstractButton, QComboBox, QLabel
 from qgis.utils import iface, plugins
+from repm.desktop.next_step import push_message
 
 sys.path.insert(0, os.environ["REPM_DESKTOP_DRIVERS"])
 from desktop_steps import FOUND, PLAN, begin, finish, guarded, picture  # noqa: E402
@@ -54,6 +55,15 @@ def look():
             picture(window, f"{key}.png")
             if name == "points":
                 dock.setUserVisible(False)
+    # The question after a run, with the longest words that we have, must not take the place of the panels.
+    plugins["repm"].menu.scenes()
+    text, *titles = PLAN["message"]
+    push_message(iface.messageBar(), text, [(title, lambda: None) for title in titles])
+    QTest.qWait(300)
+    window.resize(*PLAN["screens"][-1])
+    QTest.qWait(300)
+    FOUND["with a message"] = [window.width(), window.height(), iface.layerTreeView().width()]
+    picture(window, "message.png")
     finish()
 
 

@@ -41,6 +41,20 @@ def test_a_german_qgis_shows_german(german, context):
     assert said == "DEM „gone.tif“ ist nicht da: den Pfad prüfen."
 
 
+def test_texts_of_modules_are_german_where_they_are_looked_up(german):
+    """A module's own function looks its texts up in a context of its own: the button and the page were English."""
+    from repm.desktop import client_page, preview
+    from repm.processing_provider import parameters
+
+    from repm_qgis.names import marked
+    from repm_qgis.runtime.translation import written_in
+
+    assert preview._tr("Preview") == "Vorschau" and client_page._tr("date unknown") == "Datum unbekannt"
+    assert parameters.tr("Footprints") == "Bildflächen"
+    with written_in("de"):
+        assert marked("hills", False, "preview") == "Vorschau, hills"
+
+
 def test_without_a_translation_the_source_is_shown(plugin):
     assert QgsApplication.processingRegistry().algorithmById("repm:pipeline").create().displayName() == (
         "1.1 Make a DSM from satellite images"
