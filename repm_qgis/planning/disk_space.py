@@ -34,6 +34,7 @@ _LAZ, _LAS, _PLY, _EPT = 4.2, 30.0, 31.0, 14.0  # for each point; EPT: while it 
 _NORMAL = 12.0  # of a point; LAZ takes less
 _VERTEX = 48.0  # with its two triangles
 _ITEM = 1 << 14  # of a STAC item, whatever the DSM
+_REPORT = 2 << 20  # of a report with its pictures, whatever the DSM
 _PAGE_CELL = 3.0  # heights, an orthophoto and the expected error
 
 
@@ -95,6 +96,8 @@ def fusion_needs(
         needs.append(_need(options.viewer, min(cells, VIEWER_CELLS) * _PAGE_CELL))
     if options.stac:
         needs.append(_need(options.stac, _ITEM))
+    if options.report:
+        needs.append(_need(options.report, _REPORT))
     if options.view_heights:
         needs.append(_need(options.view_heights, len(pairs) * cells * (_RASTERS["output"] + _RASTERS["confidence"])))
     if points:
