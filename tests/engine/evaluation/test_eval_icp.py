@@ -119,6 +119,7 @@ def test_a_clouds_raster_has_first_returns_without_noise(make_raster, tmp_path):
     assert found.cells > 8500
 
 
+@pytest.mark.long
 def test_what_cannot_be_aligned_is_shortage_as_error(dsm, make_raster, tmp_path, monkeypatch):
     numbers = np.random.default_rng(1)
     x, y = numbers.uniform(0, 240, (2, 50_000))

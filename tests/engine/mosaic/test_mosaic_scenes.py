@@ -66,6 +66,7 @@ def test_scenes_give_the_bytes_of_dsms_that_were_fused_by_hand(scenes, fused, tm
     assert not list(Path(scenes[1]).parent.glob("*fusion*"))
 
 
+@pytest.mark.long
 def test_scenes_alone_have_the_cells_of_the_first_and_may_be_fixed_by_name(scenes, tmp_path, told):
     said = told()
     made = run(told, tmp_path, said, scenes=scenes, resolution=2.0, fixed=[scenes[0]])

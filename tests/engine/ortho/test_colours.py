@@ -10,29 +10,15 @@ import numpy as np
 import pytest
 from osgeo import gdal
 
-from benchmarks.colour_scene import RATIO, WEIGHTS, make_colour_scene
+from benchmarks.colour_scene import RATIO, WEIGHTS
 from repm_qgis.contracts.errors import ImageError, OptionError, OverlapError, RpcMissingError
 from repm_qgis.ortho.colour_balance import balanced
 from repm_qgis.ortho.colour_sources import multispectral_beside
 from repm_qgis.ortho.pansharpening import Multispectral, brovey, fitted
 from repm_qgis.ortho.view_choice import chosen_views, feathered_colours
 from repm_qgis.scene import Scene, load_views
-from repm_qgis.simulation.scene import SceneSpec
 from repm_qgis.stages import run_stage
 from repm_qgis.stages.parameters import ENGINE
-
-
-@pytest.fixture(scope="module")
-def town(tmp_path_factory, told):
-    """A reconstructed town with multispectral images in another folder: images, XS, true colours, scene."""
-    folder = tmp_path_factory.mktemp("colours")
-    images, xs, truth = make_colour_scene(SceneSpec.default("urban", 420, 8), str(folder / "s"))
-    apart = folder / "multispectral"
-    apart.mkdir()
-    moved = [str(Path(path).rename(apart / Path(path).name)) for path in xs]
-    options = {"images": images, "workspace": str(folder / "w"), "output": str(folder / "dsm.tif"), "resolution": 0.5}
-    run_stage("pipeline", {**options, "ortho": str(folder / "grey.tif")}, told())
-    return {"images": images, "xs": moved, "truth": truth, "scene": str(folder / "w" / "reconstructed.json")}
 
 
 def fused(town, folder, told, parameters=ENGINE, **options):
@@ -192,6 +178,7 @@ def test_pansharpening_keeps_the_mean_and_finds_the_true_colours(town, sharp, tm
 
 
 @pytest.mark.parametrize("fill", (0, 65535))
+@pytest.mark.long
 def test_margins_that_nothing_marks_are_no_colours(town, sharp, tmp_path, told, fill):
     """A third of the multispectral image of one view is a margin; the others show that ground, and by the truth of the
     scene its colours are there. It was white, or black."""
@@ -223,6 +210,7 @@ def bounds(path):
     return (x, y + dataset.RasterYSize * down, x + dataset.RasterXSize * cell, y)
 
 
+@pytest.mark.long
 def test_sixteen_bits_stay_and_bands_say_what_they_are(sharp):
     dataset, dsm = gdal.Open(sharp[0].ortho), gdal.Open(sharp[0].output)
     assert dataset.GetGeoTransform() == dsm.GetGeoTransform() and dataset.RasterXSize == dsm.RasterXSize
@@ -254,6 +242,7 @@ def test_the_number_of_workers_and_who_else_runs_change_no_byte(town, sharp, tmp
     assert (np.abs(blocks - whole).max(axis=0) <= 2).mean() > 0.95  # seams need not be the same
 
 
+@pytest.mark.long
 def test_what_a_tower_hides_is_nodata_or_from_another_view(town, sharp, tmp_path):
     """With one view alone, the cells behind roofs are empty; others fill most of them."""
     from repm_qgis.contracts.arrays import Window
@@ -275,6 +264,7 @@ def test_what_a_tower_hides_is_nodata_or_from_another_view(town, sharp, tmp_path
     assert (pixels(sharp[0].ortho)[0][hidden] > 0).mean() > 0.5
 
 
+@pytest.mark.long
 def test_clouds_and_meshes_have_the_colours(sharp):
     import laspy
 
@@ -302,6 +292,7 @@ def test_clouds_and_meshes_have_the_colours(sharp):
     assert np.corrcoef(values[middle], record["colour"][middle, 0])[0, 1] > 0.999
 
 
+@pytest.mark.long
 def test_greys_are_what_they_were(town, tmp_path, told):
     """Without XS, images of one band give one band of brightness, and clouds without colours."""
     import laspy
@@ -328,6 +319,7 @@ def test_views_without_xs_have_no_part_in_the_colours(town, tmp_path, told):
     assert any("No colours from img_03" in text for text in said.notes)
 
 
+@pytest.mark.long
 def test_xs_that_do_not_fit_are_refused_in_a_sentence(town, tmp_path, told, write_image, synthetic_rpc):
     rpc = load_views((town["xs"][0],))[0].rpc
     colour = np.full((3, 105, 105), 500, np.uint16)
@@ -347,6 +339,7 @@ def test_xs_that_do_not_fit_are_refused_in_a_sentence(town, tmp_path, told, writ
         fused(town, tmp_path, told, colour="greys")
 
 
+@pytest.mark.long
 def test_an_xs_of_another_acquisition_is_refused(town, tmp_path, told, urban):
     """A view from another direction over the same place."""
     scene = Scene.load(town["scene"])
@@ -359,6 +352,7 @@ def test_an_xs_of_another_acquisition_is_refused(town, tmp_path, told, urban):
         colour_plan(alone, options, told(), ENGINE.ortho.sharpening)
 
 
+@pytest.mark.long
 def test_an_xs_that_lies_beside_its_image_is_used_and_not_overwritten(town, tmp_path, told):
     scene = Scene.load(town["scene"])
     beside = Path(scene.views[0].image).with_name("img_01_XS.tif")

@@ -67,16 +67,16 @@ def test_without_filling_only_matched_heights_are_left(fused):
     assert facts.background == 0 and facts.matched == np.isfinite(dsm).sum()
 
 
-@pytest.mark.parametrize("kind", ("urban", "mountains"))
+@pytest.mark.parametrize(("kind", "cell"), (("urban", 0.5), ("mountains", 1.0)))
 @pytest.mark.slow
-def test_heights_do_not_depend_on_the_blocks(request, tmp_path, told, kind):
+def test_heights_do_not_depend_on_the_blocks(request, tmp_path, told, kind, cell):
     """Three sizes of blocks, in which tiles are gridded and heights are chosen, and the same bytes."""
     scene = request.getfixturevalue(f"{kind}_run").result.scene
     found = []
     for number, (side, part) in enumerate(((1024, 512), (300, 200), (160, 333))):
         parameters = replace(ENGINE, fusion=replace(ENGINE.fusion, hole_block_cells=side, block_cells=part))
         path = str(tmp_path / f"{number}.tif")
-        run_stage("dsmfuse", {"scene": scene, "resolution": 0.5, "output": path}, told(), parameters)
+        run_stage("dsmfuse", {"scene": scene, "resolution": cell, "output": path}, told(), parameters)
         found.append(bands(path)[0][0])
     assert np.isfinite(found[0]).mean() > 0.5
     for other in found[1:]:
