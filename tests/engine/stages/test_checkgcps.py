@@ -293,6 +293,7 @@ def test_heights_between_cells_are_bilinear(urban, points, tmp_path, told):
     assert result.dsm_max < 0.01
 
 
+@pytest.mark.long
 def test_vertical_datums_of_dsm_and_points_are_brought_together(urban, points, tmp_path, told):
     """Both above EGM96, and each alone, against heights that pyproj converted."""
     if not TransformerGroup("EPSG:4326+5773", "EPSG:4979").best_available:

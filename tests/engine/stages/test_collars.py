@@ -36,6 +36,7 @@ def fit(images, folder, said):
     return Scene.load(run_stage("epmfit", {"images": images, "workspace": str(folder)}, said).scene)
 
 
+@pytest.mark.long
 def test_black_frames_are_masked_and_change_nothing_else(mountains, framed, tmp_path, told):
     said = told()
     scene, plain = fit(framed, tmp_path / "ws", said), fit(mountains.images, tmp_path / "plain", told())

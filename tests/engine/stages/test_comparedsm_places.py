@@ -58,6 +58,7 @@ def test_another_relief_is_named(tmp_path, noise, wrong):
     assert "relief-other" in ids_of(tmp_path, wrong(hills() + noise), "vertical")
 
 
+@pytest.mark.long
 def test_points_that_a_tilt_leads_astray_are_named(tmp_path, noise):
     """Planes of points that are tilted against those of the reference fit better farther on."""
     rows, columns = np.indices(hills().shape).astype(float)
