@@ -164,6 +164,7 @@ def test_options_that_make_no_sense(options, words, told):
         run_stage("inspect", options, told())
 
 
+@pytest.mark.long
 def test_rows_are_sorted_and_each_choice_has_a_time(shared_data, job, told, tmp_path):
     """The best pair of the real town's January first, then a third image that fits both; times as runs took."""
     images = [str(shared_data / "jax_068" / f"JAX_068_{name}_RGB.tif") for name in ("013", "012", "009", "011", "001")]

@@ -85,6 +85,7 @@ class _Few:
         pass
 
 
+@pytest.mark.long
 def test_automatic_tiles_are_small_enough_for_the_smallest_worker_of_a_cluster(urban, told, tmp_path):
     options = {"images": urban.images, "error_budget": 5.0, "altitude_min": 150.0, "altitude_max": 260.0}
     for mib, size in ((None, 1300), (2000, 1300), (300, 1000), (10, 800)):

@@ -155,6 +155,7 @@ def test_products_show_before_and_after(registered):
     assert Path(made.differences).with_suffix(".qml").exists() and Path(made.offsets).with_suffix(".qml").exists()
 
 
+@pytest.mark.long
 def test_a_second_run_reuses_the_first_and_a_changed_reference_does_not(matched, reference, tmp_path, told):
     path = reference("changing.tif")
     options = {"scene": matched, "reference": [path], "output_scene": str(tmp_path / "r.json"), **ELLIPSOID}
@@ -165,6 +166,7 @@ def test_a_second_run_reuses_the_first_and_a_changed_reference_does_not(matched,
     assert run_stage("register", options, told()).up == pytest.approx(first.up + 1.0, abs=0.01)
 
 
+@pytest.mark.long
 def test_registering_twice_is_the_sum_of_both(registered, reference, tmp_path, told):
     made, _, _ = registered
     path = reference("second.tif", MOVED + [2.0, 1.0, -3.0])
@@ -178,6 +180,7 @@ def test_registering_twice_is_the_sum_of_both(registered, reference, tmp_path, t
     assert abs(score_files(dsm, path).metrics.bias) < 0.06
 
 
+@pytest.mark.long
 def test_ground_in_stable_polygons_alone_counts(matched, reference, tmp_path, told):
     """Half of the reference is 3 m too high; the polygon has the other half."""
 
