@@ -22,6 +22,7 @@ from ..geometry.frames import flat_crs
 from ..imagery import raster
 from ..runtime.progress import listed
 from ..runtime.workspace import write_text
+from .parameters import SERIES, SeriesParameters
 from .times import DatedDsm
 from .trend import trends
 
@@ -100,7 +101,7 @@ class AreaOverTime:
 
     ``inside`` is the share of the polygon where the DSMs lie, and ``known`` that of all of it with heights at the first
     date and at this one, ``mean`` in m, ``volume`` and its standard ``deviation`` in m3, NaN where no cell is known.
-    ``trend`` is that of the volume, m3 per year, with its standard error.
+    ``trend`` is that of the volume, m3 per year, with its standard error. ``unsure``: errors alone may look so.
     """
 
     name: str
@@ -113,6 +114,7 @@ class AreaOverTime:
     deviation: FloatArray
     trend: float
     trend_error: float
+    unsure: bool = False
 
     @property
     def last(self) -> int:
@@ -159,12 +161,16 @@ class AreaSums:
         correlations: Sequence[Correlation],
         offset_m: FloatArray,
         cell_m2: float,
+        chosen: bool,
+        parameters: SeriesParameters = SERIES,
     ) -> List[AreaOverTime]:
         """The areas, in their order. ``correlations`` (dates,) say how alike the errors of neighbours are, ``offset_m``
-        (dates,) how uncertain the common height of each date is against the first, m.
+        (dates,) how uncertain the common height of each date is against the first, m. ``chosen``: they lie where the
+        change is largest, and so are the errors.
 
         A volume is uncertain by the errors of its heights, averaged over as many cells as are independent; by the
-        offset; and where heights are missing, by as much as the change differs within the area.
+        offset; and where heights are missing, by as much as the change differs within the area. In a chosen area that
+        errors alone may explain, none of them are averaged.
         """
         found = []
         for number, (name, outline) in enumerate(zip(names, outlines), start=1):
@@ -177,6 +183,10 @@ class AreaSums:
                 own, first = (values[:, number] / known for values in (self.variance, self.first_variance))
             shares = np.array([each.variance_share(max(area, cell_m2)) for each in correlations])
             gaps = (1 - known / cells) * spread
+            size = np.abs(mean) / np.sqrt(own + first)  # in errors of a cell, of which all may be alike
+            sure = (size > parameters.chosen_cells) | (size > parameters.chosen_areas * np.sqrt(shares))
+            unsure = chosen and not sure[1:].any()
+            shares = np.ones_like(shares) if unsure else shares
             date_error = np.sqrt(own * shares + offset_m**2 + gaps**2)
             whole = np.hypot(date_error, np.sqrt(first * shares))
             deviation = area * np.where(np.arange(len(years)) == 0, 0.0, whole)
@@ -193,6 +203,7 @@ class AreaSums:
                 deviation=deviation,
                 trend=float(slope.slope[0, 0]),
                 trend_error=float(slope.error[0, 0]),
+                unsure=unsure,
             )
             found.append(one)
         return found
@@ -227,6 +238,18 @@ def inside_findings(found: Sequence[AreaOverTime], path: str) -> List[Finding]:
     named = listed([f"{each.name} ({as_percent(each.inside)})" for each in cut])
     text = f"Areas of '{path}' that lie only in part where the DSMs have heights, or not at all: {named}"
     return [Finding("areas-outside", f"{text}. Volumes are those of this part: use DSMs that cover all of them.")]
+
+
+def unsure_findings(found: Sequence[AreaOverTime]) -> List[Finding]:
+    """The areas that were outlined because errors of neighbours are alike, perhaps."""
+    unsure = [each for each in found if each.unsure]
+    if not unsure:
+        return []
+    text = (
+        f"{len(unsure)} of {len(found)} outlined areas ({sum(each.area for each in unsure):.0f} m2) change by so "
+        "little that errors of neighbouring cells alone may look so: give AREAS, or leave them out."
+    )
+    return [Finding("areas-unsure", text)]
 
 
 def write_areas(path: str, grid: Grid, series: Sequence[DatedDsm], found: Sequence[AreaOverTime]) -> None:

@@ -34,7 +34,7 @@ from ..reports import verdict
 from ..reports.parameters import VERDICT
 from ..runtime.progress import Part, Progress, warn_all
 from ..runtime.workspace import temporary_folder
-from .areas import AreaOverTime, Areas, AreaSums, inside_findings, outlined, write_areas, write_table
+from .areas import AreaOverTime, Areas, AreaSums, inside_findings, outlined, unsure_findings, write_areas, write_table
 from .errors import DateErrors, errors_of_dates
 from .parameters import SERIES, SeriesParameters
 from .surfaces import SeriesCells, Stack
@@ -344,10 +344,12 @@ class _Work:
                 spread = errors.of_cells(cells, offsets=False)[:, rows, columns]
                 for numbers in layers:
                     sums.add(numbers, cells.heights[:, rows, columns], spread)
-        found = sums.over_time(names, wkbs, self._grid, self._years, correlations, offset_m, self._surfaces.cell_m2)
+        given = offset_m, self._surfaces.cell_m2, not self._options.areas
+        found = sums.over_time(names, wkbs, self._grid, self._years, correlations, *given)
         if self._options.areas:
             warn_all(progress, inside_findings(found, self._options.areas))
         else:
+            warn_all(progress, unsure_findings(found))
             found.sort(key=lambda each: -abs(each.volume[each.last]))
             found = [replace(each, name=str(number)) for number, each in enumerate(found, start=1)]
         if self._options.volumes:
