@@ -55,6 +55,12 @@ def by_severity(findings: Iterable[Finding]) -> List[Finding]:
     return sorted(distinct(findings), key=lambda each: (each.level != "doubt", each.id in _TAKEN_FOR_GRANTED))
 
 
+def verdict_of(findings: Iterable[Finding]) -> Literal["good", "look", "doubt"]:
+    """What a result is worth by all that its run found; pages say "Good." for none."""
+    levels = {each.level for each in findings}
+    return "doubt" if "doubt" in levels else "look" if levels else "good"
+
+
 def as_percent(share: float) -> str:
     """A share as text, never 0 or 100 % where it is not."""
     percent = 100.0 * share

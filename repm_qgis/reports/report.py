@@ -18,7 +18,7 @@ import re
 import struct
 from typing import Dict, Iterable, List, Sequence, Tuple, Union
 
-from ..contracts.findings import Finding, by_severity
+from ..contracts.findings import Finding, by_severity, verdict_of
 from ..runtime.progress import Recorder
 from ..runtime.translation import labels, reader
 from ..runtime.workspace import write_text
@@ -161,7 +161,7 @@ class Report:
         head["language"] = reader().language
         parts = [(kind, _with(values, run) if kind == "verdict" else values) for kind, values in self._parts]
         if run and "verdict" not in dict(parts):
-            parts.insert(0, ("verdict", {"good": "", "findings": by_severity(run), "about": False}))
+            parts.insert(0, ("verdict", _with({"good": "", "findings": [], "about": False}, run)))
         made_page = page("report.html", parts=parts, made=made, **head)
         return readable(made_page, reader().language, labels())
 
@@ -180,7 +180,8 @@ class Report:
 def _with(verdict: Dict[str, object], run: Sequence[Finding]) -> Dict[str, object]:
     """A verdict with the findings of the run behind its own of the same severity."""
     own: Sequence[Finding] = verdict["findings"]  # type: ignore[assignment]  # of Report.verdict
-    return {**verdict, "findings": by_severity([*own, *run])}
+    findings = by_severity([*own, *run])
+    return {**verdict, "findings": findings, "level": verdict_of(findings)}
 
 
 def _kind_of(cells: Sequence[object]) -> str:

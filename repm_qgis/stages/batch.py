@@ -17,7 +17,7 @@ from ..batch.records import KeptMosaic, KeptScene, files_in, scene_key
 from ..batch.scenes import SceneOfMany, folder_of, scenes_of
 from ..contracts.documents import JsonObject
 from ..contracts.errors import Cancelled, ClusterError, EmptyResultError, RepmError
-from ..contracts.findings import Finding, by_severity
+from ..contracts.findings import Finding, by_severity, verdict_of
 from ..contracts.formats import extension_of
 from ..contracts.options import BatchOptions
 from ..contracts.products import SO_FAR, product, stem_of
@@ -184,10 +184,9 @@ def _made(name: str, job: JsonObject, folder: str, progress: Part, start: float)
     scene = Scene.load(result.scene)
     facts = FusionFacts.from_mapping(result.to_mapping())
     found = by_severity([*verdict.of_run(scene, facts), *verdict.of_history(scene), *record.findings])
-    words = "doubt" if any(each.level == "doubt" for each in found) else "look" if found else "good"
     outcome = SceneOutcome(
         scene=name,
-        verdict=words,
+        verdict=verdict_of(found),
         error="",
         findings=tuple(map(str, found)),
         reused=False,
