@@ -187,13 +187,12 @@ class _Pool:
 
     def _end(self) -> None:
         """End the workers while they work."""
-        for process in self._processes():
-            process.terminate()
+        self.kill()
         self._let_go(ended=True)
 
     def kill(self) -> None:
         for process in self._processes():
-            process.kill()
+            process.kill()  # who starts a program with SIGTERM ignored has its workers ignore it, too
 
     def _processes(self) -> List[multiprocessing.process.BaseProcess]:
         """The workers that have begun; no public name has them."""

@@ -7,6 +7,8 @@ import json
 import os
 import re
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +24,7 @@ from repm_qgis.stages import batch, run_stage
 from tests.engine.pages import plain
 
 pytestmark = pytest.mark.long
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def bytes_of(path):
@@ -343,11 +346,10 @@ def test_a_mosaic_that_cannot_be_made_is_a_finding(first, options, told, tmp_pat
     assert "There is no mosaic" in Path(result.report).read_text(encoding="utf-8")
 
 
-def test_the_command_line_has_it(options, capfd):
-    from repm_qgis.command_line import main
-
+def test_the_command_line_has_it(options):
     given = [f"--{name}={options[name]}" for name in ("folder", "workspace", "resolution")]
     given += ["--extent", *map(str, options["extent"]), "--extent-crs", options["extent_crs"], "--workers", "1"]
-    assert main(["batch", *given]) == 0
-    shown = capfd.readouterr()
-    assert "n_failed: 1" in shown.out and f"output: {options['workspace']}/scenes.gpkg" in shown.out
+    run = "from repm_qgis.command_line import main; raise SystemExit(main())"
+    shown = subprocess.run([sys.executable, "-c", run, "batch", *given], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    assert shown.returncode == 0
+    assert "n_failed: 1" in shown.stdout and f"output: {options['workspace']}/scenes.gpkg" in shown.stdout

@@ -292,6 +292,39 @@ def test_cancel_is_quick_though_a_task_is_on_its_way(work, told):
     assert time.monotonic() - start < 5
 
 
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such signal")
+def test_cancel_is_quick_where_termination_is_ignored(tmp_path):
+    """A parent may have a program begin so, and workers inherit it; without an end this would wait for ever."""
+    script = tmp_path / "run.py"
+    script.write_text(
+        "import signal, time\n"
+        "from repm_qgis.contracts.errors import Cancelled\n"
+        "from repm_qgis.runtime.parallel import run_tasks\n"
+        "from repm_qgis.runtime.progress import Silent\n"
+        "class Cancel(Silent):\n"
+        "    asked = 0\n"
+        "    def check_cancelled(self):\n"
+        "        self.asked += 1\n"
+        "        if self.asked > 3:\n"
+        "            raise Cancelled\n"
+        "if __name__ == '__main__':\n"
+        "    signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
+        "    try:\n"
+        "        run_tasks(time.sleep, [100.0] * 8, 2, Cancel(), str)\n"
+        "    except Cancelled:\n"
+        "        print('cancelled')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (0, "cancelled\n")
+
+
 @pytest.mark.skipif(os.name == "nt", reason="Windows does not count it")
 def test_what_workers_use_is_counted_as_used_by_this_process(work, told):
     before = os.times()
