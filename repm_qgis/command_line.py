@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import os
 import re
 import shutil
@@ -55,7 +54,7 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         if self.as_json:
-            print(json.dumps({"type": "error", "kind": OptionError.__name__, "text": message}), flush=True)
+            JsonLines(sys.stdout).send(type="error", kind=OptionError.__name__, text=message)
         super().error(message)
 
 

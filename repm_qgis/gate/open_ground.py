@@ -48,7 +48,8 @@ def open_ground(
         x, y = (window.col + columns * factor) * abs(cell[0]), (window.row + rows * factor) * abs(cell[1])
         parts.append(np.column_stack([x, y, *(each[known] for each in (own, coarse, by_itself | smooth, smooth))]))
     x, y, own, whole, shown, smooth = np.concatenate([np.empty((0, 6)), *parts]).astype(np.float64).T
-    return OpenGround(own[shown > 0], whole[shown > 0], *_plane(x, y, whole, smooth > 0, parameters))
+    offsets, slope, left = _plane(x, y, whole, smooth > 0, parameters)
+    return OpenGround(own[shown > 0], whole[shown > 0], offsets, slope, left)
 
 
 def _smooth(heights: FloatImage, cell: Tuple[float, float], parameters: GateParameters) -> Tuple[FloatImage, Mask, int]:

@@ -344,8 +344,16 @@ class _Work:
                 spread = errors.of_cells(cells, offsets=False)[:, rows, columns]
                 for numbers in layers:
                     sums.add(numbers, cells.heights[:, rows, columns], spread)
-        given = offset_m, self._surfaces.cell_m2, not self._options.areas
-        found = sums.over_time(names, wkbs, self._grid, self._years, correlations, *given)
+        found = sums.over_time(
+            names,
+            wkbs,
+            self._grid,
+            self._years,
+            correlations,
+            offset_m=offset_m,
+            cell_m2=self._surfaces.cell_m2,
+            chosen=not self._options.areas,
+        )
         if self._options.areas:
             warn_all(progress, inside_findings(found, self._options.areas))
         else:

@@ -31,7 +31,7 @@ def jobs_of(monkeypatch, *arguments):
 def value_of(stage, name):
     """A value that an option may have, other than its default, and its words on the command line."""
     options = STAGES[stage].options
-    kind, check = command_line._kind(options, name), options.option(name).metadata.get("check")
+    kind, check = options.kind_of(name), options.option(name).metadata.get("check")
     default = options.option(name).default
     if kind is bool:
         return not default, [f"--{'no-' if default else ''}{name.replace('_', '-')}"]

@@ -81,5 +81,5 @@ def test_german_dialogs_fit_too(desktop_start, tmp_path):
     names.append("buildings")
     found = desktop_start("drive_narrow.py", {"dialogs": names}, seconds=60, locale="de")
     assert all(max(widths) == 0 for widths in found["narrow"].values()), found["narrow"]
-    assert found["words"]["fast"] == "Schnell (fast)" and found["values"] == ["fast", "default", "best"]
+    assert found["words"]["fast"] == "Wenigste Paare (fast)" and found["values"] == ["fast", "default", "best"]
     assert found["model"][0] == "IMAGES"

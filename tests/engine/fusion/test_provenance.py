@@ -188,9 +188,11 @@ def test_each_pair_has_its_own_surface_on_the_same_cells(urban_run, tmp_path, to
 @pytest.mark.skipif(os.name == "nt", reason="no signals there")
 @pytest.mark.parametrize("name", ("SIGSEGV", "SIGKILL"))
 @pytest.mark.long
-def test_a_worker_that_dies_is_no_pair_without_heights(urban_run, tmp_path, told, name):
+def test_a_worker_that_dies_is_no_pair_without_heights(urban_run, tmp_path, told, monkeypatch, name):
     """VIEW_HEIGHTS left an empty folder, said that pairs "have no height in the DSM", and ended with success."""
     pairs, killed = tmp_path / "pairs", []
+    monkeypatch.setattr(parallel, "_FEW", 0)  # threads take so few tiles
+    monkeypatch.setattr(parallel, "_FEW_TO_BEGIN", 0)
 
     class Deadly(told):
         def step(self, fraction, text=""):
