@@ -96,7 +96,13 @@ def expected(options: ReconstructOptions, parameters: EngineParameters = ENGINE)
     """The time and memory from images to the DSM, without what an earlier run has left of the height maps."""
     parameters = parameters.of_quality(options.quality)
     inputs = _Inputs.of(options, parameters)
-    pairs = pairs_of(inputs.scene, options, parameters)
+    return _expected(inputs, pairs_of(inputs.scene, options, parameters), options, parameters)
+
+
+def _expected(
+    inputs: _Inputs, pairs: Sequence[ViewPair], options: ReconstructOptions, parameters: EngineParameters
+) -> RunEstimate:
+    """The same, with what a run has read already."""
     job = inputs.job(replace(inputs.scene, pairs=tuple(pairs)), {}, options, parameters.matching)
     left = inputs.backends[0].share_left(job)
     pointed = not left and reusable(options.output_scene, "reconstruct", inputs.key) is not None
@@ -125,7 +131,7 @@ def run(options: ReconstructOptions, progress: Progress, parameters: EngineParam
         ties = f"{folder_of(place, 'tie_points')}.gpkg"
         scene = replace(scene, path=place, pairs=tuple(pairs), tie_points=ties, backend=backends[0].name)
         _log_pairs(scene, notes)
-        times = expected(options, parameters)
+        times = _expected(inputs, pairs, options, parameters)
         tied = _END * times.ties_s / ((times.ties_s + times.matching_s) or 1.0)
         stretches = _stretches(scene, options.workers, parameters, Part(notes, 0.0, 0.1 * tied))
         scene = _pointed(scene, stretches, inputs.gcps, options, parameters, Part(notes, 0.1 * tied, 0.8 * tied))
