@@ -74,8 +74,8 @@ class _Products:
             metadata[PLACED_TAG] = scene.placed
         if evidence:
             metadata["REPM_WATER"] = evidence
-        if scene.days():
-            metadata[DAYS] = " ".join(scene.days())
+        if days := scene.days():
+            metadata[DAYS] = " ".join(days)
 
         def raster(
             path: str, names: Tuple[str, ...], kind: DTypeLike = np.float32, crs: str = wkt, **more: Any

@@ -21,7 +21,7 @@ from ..imagery.raster import opened_masked
 from ..imagery.warping import PixelMap, SourcePixels, coarsened, source_pixels
 from ..runtime.memory import matching_mib, tile_work, workers_within
 from ..runtime.parallel import run_tasks
-from ..runtime.progress import Part, Progress, Silent, Uneven, slow_down
+from ..runtime.progress import KEPT, Part, Progress, Silent, Uneven, slow_down
 from ..runtime.spare_cores import side_by_side, spread
 from ..runtime.workspace import drop_temporaries, fingerprint
 from ..scene import Scene, Tile
@@ -45,8 +45,8 @@ from .parameters import MATCHING, LearnedParameters, MatchingParameters, PriorPa
 from .reliability import mask_unreliable, shown_twice
 from .wide_windows import wide_match
 
-_LEARNED, _MEASURED, _KEPT = 5.0, 0.1, 0.02
-"""Of the time of matching by intensities: by features, a pair's agreement, and a map that an earlier run has made."""
+_LEARNED, _MEASURED = 5.0, 0.1
+"""Of the time of matching by intensities: by features, and a pair's agreement."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class PairBackend:
         """Match every pair over every tile that both of its views see, in as many workers as fit into memory."""
         tasks = self._tasks(job)
         measured = unsure_tasks(job, tasks)
-        times = [_KEPT if has_key(task.path, task.key) else 1.0 for task in tasks]
+        times = [KEPT if has_key(task.path, task.key) else 1.0 for task in tasks]
         choice = _MEASURED * len(measured) / (_MEASURED * len(measured) + sum(times) or 1.0)
         costs = choose_costs(job, measured, Part(progress, 0.0, choice))
         tasks = [task.matched_by(costs[task.pair]) for task in tasks]

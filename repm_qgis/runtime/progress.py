@@ -93,6 +93,10 @@ def slow_down(progress: Progress, factor: float) -> None:
         progress.slow_down(factor)
 
 
+KEPT = 0.02
+"""Of the time of a task, for one whose result an earlier run has left."""
+
+
 class Uneven(Part):
     """The share [start, end] of a longer progress for tasks that take these unequal ``times``, but report equal
     steps."""

@@ -31,13 +31,12 @@ from ..registration.laying import prior_of
 from ..reports.styles import write_style
 from ..runtime.memory import Work, fitting_mib, fusing_mib, tile_work, workers_within
 from ..runtime.parallel import run_tasks, run_whole
-from ..runtime.progress import Part, Progress, Uneven, counted
+from ..runtime.progress import KEPT, Part, Progress, Uneven, counted
 from ..runtime.workspace import ensure_folder, fingerprint
 from ..scene import Scene
 from .parameters import EngineParameters
 
 _TILES = 0.7  # of the fusion's progress, for the tiles
-_KEPT = 0.02  # of the time of a tile, for one that an earlier run has fused
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,7 @@ def fused(fusion: Fusion, progress: Progress) -> Tuple[FusionFacts, List[StoredT
         fuse_to_disk,
         works,
         _workers(fusion, progress),
-        Uneven(progress, 0.0, _TILES, [_KEPT if os.path.exists(path) else 1.0 for _, path in works]),
+        Uneven(progress, 0.0, _TILES, [KEPT if os.path.exists(path) else 1.0 for _, path in works]),
         lambda work: f"fusing {work[0].records[0].tile}",
     )
     reused = sum(tile.reused for tile in stored)
